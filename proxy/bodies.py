@@ -153,10 +153,10 @@ class RigidBodies:
             message = self._message or words_in(self._rescue)
         return SafetyStop(f"{text}: MuJoCo said: {message}: {remedy}")
 
-    def kernel(self, riders: tuple[float, ...]) -> kernels.Bodies:
-        """Return the kernels' Bodies, with `riders` as described there."""
+    def kernel(self, attached: tuple[float, ...]) -> kernels.Bodies:
+        """Return the kernels' Bodies, with `attached` as described there."""
         return kernels.Bodies(
-            self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(riders)), float(len(riders))
+            self.block, ReadOnly(np.array(self.moving, np.int64)), ReadOnly(np.array(attached)), float(len(attached))
         )
 
     def begin(self, period_s: float) -> None:

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.query.container import MAX_ENTRIES
 from softfinger.proxy.kernels.shapes import kernel_table as kinds
-from softfinger.proxy.kernels.shapes.any_shape import any_shape
+from softfinger.proxy.kernels.shapes.any_shape import make_any_shape
 
 NO_VALUES: Final = ReadOnly(np.zeros(1))
 
@@ -24,7 +24,7 @@ def make_many(
 ) -> model.Many:
     """Return the objects as arrays; `effects` are the carriers of effects.
 
-    Raises ConfigError for more than ENTRIES objects.
+    Raises ConfigError for more than MAX_ENTRIES objects.
     """
     if len(objects) > MAX_ENTRIES:
         raise ConfigError(f"{len(objects)} walls and objects: at most {MAX_ENTRIES} are possible; remove some")
@@ -68,7 +68,7 @@ def _list_needed_kernels(
 
 
 def _make_entry(obj: model.Object, needs: frozenset[int]) -> model.Entry:
-    shape = any_shape(obj.shape, obj.pose, needs)
+    shape = make_any_shape(obj.shape, obj.pose, needs)
     return model.Entry(shape, _make_pose(obj.pose), obj.motion or model.NO_MOTION, obj.material.normal, obj.scene_index)
 
 

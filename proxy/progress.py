@@ -1,4 +1,4 @@
-"""Display of the progress of meshes and elastic bodies, whose preparation takes seconds."""
+"""Display of the progress while a mesh or an elastic body is prepared, which takes seconds."""
 
 from __future__ import annotations
 

@@ -59,10 +59,10 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
     materials, rigid = _compile_materials(scene), compile_bodies(scene, before)
     bodies = list[model.Object]()
     carriers = list[model.Carrier]()
-    riders = list[float]()
+    attached = list[float]()
     for number, (obj, material) in enumerate(zip(scene.object, materials, strict=True)):
         motion, effects = compile_motion(obj.motion, rigid), compile_effects(obj.effect)
-        riders.append(0.0 if motion is None else motion.body)
+        attached.append(0.0 if motion is None else motion.body)
         texture = compile_texture(obj)
         for part, (shape, position, orientation) in enumerate(shape_bodies(obj)):
             fixed = motion is None and texture is None
@@ -82,7 +82,7 @@ def build_scene(scene: schema.Scene, before: model.Scene | None = None) -> model
         else model.Single(bodies[0], tuple(carriers), search_for(bodies)),
         rolling=rolling,
         effects=compile_effects(scene.effect),
-        bodies=None if rigid is None else rigid.kernel(tuple(riders)),
+        bodies=None if rigid is None else rigid.kernel(tuple(attached)),
         elastic=_compile_elastic(scene, bodies),
     )
 
@@ -179,15 +179,15 @@ def _place_shape(
     """Return a shape and its simplest pose: none if it is `fixed` and can be expressed in the world frame."""
     turn = obj.orientation_wxyz  # parts are translated relative to their object, not rotated
     moved = _rotate(obj.orientation_wxyz, position)
-    at = (moved[0] + obj.position_m[0], moved[1] + obj.position_m[1], moved[2] + obj.position_m[2])
+    center = (moved[0] + obj.position_m[0], moved[1] + obj.position_m[1], moved[2] + obj.position_m[2])
     if not fixed:
-        return shape, model.Pose(at, turn)
+        return shape, model.Pose(center, turn)
     if isinstance(shape, model.Plane):
         normal = _rotate(turn, shape.normal)
-        return model.Plane(normal, shape.offset + sum(n * p for n, p in zip(normal, at, strict=True))), None
+        return model.Plane(normal, shape.offset + sum(n * p for n, p in zip(normal, center, strict=True))), None
     if isinstance(shape, model.Sphere) or turn == (1.0, 0.0, 0.0, 0.0):
-        return shape, (model.Place(at) if any(at) else None)
-    return shape, model.Pose(at, turn)
+        return shape, (model.Place(center) if any(center) else None)
+    return shape, model.Pose(center, turn)
 
 
 def _rotate(q: model.Quaternion, v: model.Vec3) -> model.Vec3:

@@ -3,7 +3,7 @@
     python -m softfinger.tools.elastic_scenes OUTDIR    # the meshes
     python -m softfinger.tools.elastic_scenes SCENE     # solves the body of a scene, and writes the file `solution`
 
-The second form also works for a scene of your own. It needs the extra `elastic`.
+The second form works for any scene with an elastic object. It needs the extra `elastic`.
 """
 
 from __future__ import annotations

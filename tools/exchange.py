@@ -285,7 +285,7 @@ class Exchange:
         self.device, self.rate_hz = device, rig.servo.rate_hz
         self.settings: list[realtime.Setting] = []
         self.ended: shutdown.LoopEnd | None = None
-        """How the exchange has ended by itself; None while it runs."""
+        """Reason why the exchange stopped by itself; None while it runs."""
         self._servo, self._guard = rig.servo, guard
         self._period = compute_period_ns(rig.servo.rate_hz)
         self._words = np.zeros(8, np.int64)
@@ -299,7 +299,7 @@ class Exchange:
         self._thread = threading.Thread(target=self._run, name="exchange", daemon=True)
 
     def record(self, seconds: float, push: Push = NO_PUSH, operation: str = "the exchange with the device") -> Array:
-        """Return rows (n, ROW_SIZE) of `seconds` at the rig's rate; fewer if the device has ended.
+        """Return rows (n, ROW_SIZE) of `seconds` at the rig's rate; fewer if the exchange stops.
 
         `operation` is recorded, for the progress line. Raises SafetyStop if the exchange hangs.
         """

@@ -69,7 +69,7 @@ def draw_lines(
 
 
 def draw_exceedance(path: Path, seconds: Mapping[str, Array], least_us: float, time: str, of: str, title: str) -> None:
-    """Draw the share of values above each duration: a line for each name, in us, those below `least_us` at its left."""
+    """Draw the share of values above each duration, us, a line per name; smaller values count as `least_us`."""
     lines = {
         name: (np.sort(values).clip(1e-6 * least_us) * 1e6, 1.0 - np.arange(len(values)) / len(values))
         for name, values in seconds.items()

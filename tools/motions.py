@@ -1,4 +1,4 @@
-"""Motions of the shipped recordings, each a list of moves; those of several fingers have equal lengths."""
+"""Motions of the shipped recordings: a list of moves for each finger, of equal total length."""
 
 from __future__ import annotations
 

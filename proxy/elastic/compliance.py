@@ -111,7 +111,7 @@ def solve_patches(solid: Solid, loads: list[Any], advance: Callable[[int], None]
     together = hstack(loads).tocsr()[solid.free].tocsc()  # component by component
     blocks, bending = np.empty((count, count, 3, 3)), np.empty((2, 3 * count))
     back, gradient = together.T, make_surface_gradient(solid)[:, solid.free]
-    # Loads that begin in the same fronts are solved together, so that the others are skipped.
+    # Loads with the same first fronts are solved together: the fronts before these are skipped.
     first = np.minimum.reduceat(solid.factors.number[together.indices], together.indptr[:-1])
     parts = np.array_split(np.argsort(first, kind="stable"), -(-3 * count // SOLVE_BLOCK))
 

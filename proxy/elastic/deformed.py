@@ -43,7 +43,7 @@ class Deformed:
     body
         Its solution.
     vertices
-        (n, 3) m, vertices to displace, object frame; None: those of the body's surface.
+        (n, 3) m, vertices to displace, object frame; None for the vertices of the body's surface.
 
     Attributes
     ----------

@@ -29,7 +29,7 @@ STRIP_COLUMNS: Final = 256
 class Front(NamedTuple):
     """Columns of the factor L that are eliminated together.
 
-    own     (k,)  unknowns
+    own     (k,)  unknowns of these columns
     beyond  (m,)  unknowns of later fronts in these columns
     offset        in the file, bytes: (k, k) rows `own`, lower triangle, and (k, m) rows `beyond`, transposed
     """

@@ -1,4 +1,4 @@
-"""Loads of the fingers on an elastic object, from the records of a tick: what the topic `deformation` publishes."""
+"""Loads of the fingers on an elastic object, from the records of a tick; published as the topic `deformation`."""
 
 from __future__ import annotations
 

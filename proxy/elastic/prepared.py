@@ -138,7 +138,7 @@ def _load_or_solve(obj: schema.Mesh, elastic: schema.Elastic, identity: str, fol
 
 
 def make_volume(obj: schema.Mesh, resolution_m: float) -> Volume:
-    """Return the volume mesh of an object; a file of tetrahedra has its own resolution.
+    """Return the volume mesh of an object; `resolution_m` does not apply to a file of tetrahedra.
 
     Raises ConfigError or ValueError if the file cannot be read, its surface is open, or it cannot be filled.
     """

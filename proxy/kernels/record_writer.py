@@ -75,8 +75,8 @@ def write_surfaces(surfaces: Any, rows: Any) -> None:
 
 @jit
 def write_surface(row: Any, surface: Surface) -> None:
-    write_vector(row, AT.contact_displacement, surface.moved)
-    row[AT.contact_nonlinear] = surface.beyond
+    write_vector(row, AT.contact_displacement, surface.world_displacement)
+    row[AT.contact_nonlinear] = surface.nonlinear
 
 
 @jit

@@ -7,7 +7,6 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.approach import STUCK_TICKS
 from softfinger.proxy.kernels.contact.contact_friction import (
-    ProbeMotion,
     apply_friction,
     compute_load,
     find_ground,
@@ -41,6 +40,7 @@ from softfinger.proxy.kernels.model import (
     Many,
     Pose,
     Probe,
+    ProbeMotion,
     Scene,
     State,
     Vec3,
@@ -98,7 +98,7 @@ def step(scene: Scene, state: State, poses: Any, dt: float) -> Any:
 @jit
 def release_finger(finger: Finger, state: FingerState, pose: Pose, dt: float) -> tuple[FingerState, Contact]:
     """Return FingerState and Contact of a finger without contact and without effects."""
-    velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
+    velocity = filter_velocity(finger, state, pose.position, dt)
     probe = Probe(pose.position, pose.orientation, velocity)
     return make_free_state(state, probe, state.effects, True), make_free_contact(state, probe, (0.0, 0.0, 0.0), 0.0)
 
@@ -123,63 +123,64 @@ def step_finger(
     finger: Finger, state: FingerState, pose: Pose, scene: Scene, objects: Any, dt: float
 ) -> tuple[FingerState, Contact]:
     """Compute the contact of one finger in the advanced world; `objects` is the result of `place_all`."""
-    velocity = filter_velocity(state, pose.position, dt, finger.velocity_time_constant)
-    probe = Probe(pose.position, pose.orientation, velocity)
+    velocity = filter_velocity(finger, state, pose.position, dt)
+    motion = ProbeMotion(Probe(pose.position, pose.orientation, velocity), state.probe, dt)
     reach = finger.radius + (vec3.norm(vec3.sub(pose.position, state.center)) if state.started != 0.0 else 0.0)
-    nearby = choose_search(objects, pose.position, 2.0 * reach)  # covers the path of the probe and that to rest
-    obstacles = minkowski_objects(finger.form, finger.radius, nearby, pose.orientation)
+    nearby = choose_search(objects, pose.position, 2.0 * reach)  # the paths of probe and proxy
+    obstacles = minkowski_objects(finger, nearby, pose.orientation)
     if isinstance(objects, Many) or isinstance(objects.search, FacetedSearch):
-        return step_with_several_objects(obstacles, scene, finger, state, probe, dt)
-    return step_with_one_object(obstacles, scene, finger, state, probe, dt)
+        return step_with_several_objects(scene, finger, obstacles, state, motion)
+    return step_with_one_object(scene, finger, obstacles, state, motion)
 
 
 @jit
-def filter_velocity(state: FingerState, position: Vec3, dt: float, time_constant: float) -> Vec3:
+def filter_velocity(finger: Finger, state: FingerState, position: Vec3, dt: float) -> Vec3:
     """Return the probe velocity (3,) m/s: the backward difference, filtered by a first-order low-pass."""
     if state.started == 0.0 or dt <= 0.0:
         return state.probe.velocity
+    time_constant = finger.velocity_time_constant
     gain = 1.0 / (time_constant + dt)
-    moved = vec3.sub(position, state.probe.position)
-    return vec3.add_scaled(vec3.scale_and_flush(time_constant * gain, state.probe.velocity), gain, moved)
+    displacement = vec3.sub(position, state.probe.position)
+    return vec3.add_scaled(vec3.scale_and_flush(time_constant * gain, state.probe.velocity), gain, displacement)
 
 
 @jit
 def step_with_one_object(
-    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, motion: ProbeMotion
 ) -> tuple[FingerState, Contact]:
     """Compute the contact in a scene of one object that is not a mesh: its proxy follows the slip on that object."""
-    shapes, motion = strip_materials(objects), ProbeMotion(probe, state.probe, dt)
+    shapes, probe = strip_materials(objects), motion.probe
     if state.stuck_ticks >= STUCK_TICKS and is_clear(shapes, finger.radius, probe.position):
-        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
-    state, approach = detect_or_continue(scene, finger, shapes, state, probe, dt)
+        return step_without_contact(scene, finger, objects, state, motion, BUDGET)
+    state, approach = detect_or_continue(scene, finger, shapes, state, probe, motion.dt)
     if approach.active[0].object_index < 0.0:
-        return step_without_contact(scene, finger, objects, state, probe, dt, BUDGET)
+        return step_without_contact(scene, finger, objects, state, motion, BUDGET)
     ground = find_textured_ground(objects, 0.0, approach.active, approach.center)
-    forces = apply_friction(finger, objects, ground, approach.predicted[0], 1.0, motion)
+    forces = apply_friction(finger, objects, ground, approach.predicted[0], motion)
     landing = land_on_one(finger, shapes, approach, forces, probe.position)
     load = compute_load(finger, objects, ground, landing.active[0], motion, approach.is_new)
-    effects = sum_effects(scene, finger, objects, state, landing.active, probe, dt)
+    effects = sum_effects(scene, finger, objects, state, landing.active, motion)
     outcome = make_outcome_of_one(finger, ground, probe, approach, forces, landing, load)
     return end_contact_tick(finger, probe, approach, forces.result.cause, outcome, effects)
 
 
 @jit
 def step_with_several_objects(
-    objects: Any, scene: Scene, finger: Finger, state: FingerState, probe: Probe, dt: float
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, motion: ProbeMotion
 ) -> tuple[FingerState, Contact]:
-    shapes, motion, approach = strip_materials(objects), ProbeMotion(probe, state.probe, dt), make_no_approach(probe)
+    shapes, probe, approach = strip_materials(objects), motion.probe, make_no_approach(motion.probe)
     if state.stuck_ticks < STUCK_TICKS or not is_clear(shapes, finger.radius, probe.position):
         state, approach = continue_or_detect_several(scene, finger, objects, shapes, state, motion)
     if approach.active[0].object_index < 0.0:
-        return step_without_contact(scene, finger, objects, state, probe, dt, approach.budget)
+        return step_without_contact(scene, finger, objects, state, motion, approach.budget)
     forces = map_each(apply_friction_of_contact, (approach.predicted,), finger, objects, approach, motion)
-    landing, is_alone = land_among_several(finger, shapes, approach, forces[0], probe.position)
+    landing, is_single = land_among_several(finger, shapes, approach, forces[0], probe.position)
     active = landing.active
-    if not is_alone:
+    if not is_single:
         settled = settle_after_friction(finger, objects, shapes, approach, forces, probe.position)
         active = settled.active
-    effects = sum_effects(scene, finger, objects, state, active, probe, dt)
-    if is_alone:
+    effects = sum_effects(scene, finger, objects, state, active, motion)
+    if is_single:
         ground = find_ground(objects, active[0].object_index)
         load = compute_load(finger, objects, ground, active[0], motion, approach.is_new)
         outcome = make_outcome_of_one(finger, ground, probe, approach, forces[0], landing, load)
@@ -190,13 +191,13 @@ def step_with_several_objects(
 
 @jit
 def step_without_contact(
-    scene: Scene, finger: Finger, objects: Any, state: FingerState, probe: Probe, dt: float, budget: int
+    scene: Scene, finger: Finger, objects: Any, state: FingerState, motion: ProbeMotion, budget: int
 ) -> tuple[FingerState, Contact]:
     """Return state and Contact in free space, or at a first pose with an incomplete search (`budget` below 0)."""
-    nothing = make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
-    effects = sum_effects(scene, finger, objects, state, nothing, probe, dt)
+    active = make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
+    effects = sum_effects(scene, finger, objects, state, active, motion)
     unsearched = 1.0 if budget < 0 else effects.unknown
     return (
-        make_free_state(state, probe, effects.states, budget >= 0),
-        make_free_contact(state, probe, effects.force, unsearched),
+        make_free_state(state, motion.probe, effects.states, budget >= 0),
+        make_free_contact(state, motion.probe, effects.force, unsearched),
     )

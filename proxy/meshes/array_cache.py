@@ -137,8 +137,8 @@ def _sum(array: NDArray[Any]) -> int:
     """
     data = array.reshape(-1).view(np.uint8)
     whole = len(data) // 8 * 8
-    rest = int.from_bytes(data[whole:].tobytes(), "little")
-    return (int(data[:whole].view(np.uint64).sum(dtype=np.uint64)) + rest) % 2**64
+    remainder = int.from_bytes(data[whole:].tobytes(), "little")
+    return (int(data[:whole].view(np.uint64).sum(dtype=np.uint64)) + remainder) % 2**64
 
 
 def _make_room(folder: Folder, newest: str) -> None:

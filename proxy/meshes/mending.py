@@ -58,7 +58,7 @@ def mend(arrays: Arrays, loose: bool) -> RepairedMesh:
 
     Returns
     -------
-    Mended
+    RepairedMesh
         Repaired mesh, with counts of repairs and of remaining faults.
 
     Raises

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.jit.decorators import entry, jit
 
 Rows = NDArray[Any]
 Numbers = NDArray[np.int32]
@@ -132,6 +132,18 @@ def _find_alike(rows: Rows, table: Numbers, first: Numbers) -> None:
         first[i] = table[place]
 
 
+@jit
+def _find_root(parent: Numbers, turned: NDArray[np.bool_], k: int, against: bool) -> tuple[int, bool]:
+    """Return the root of the piece of triangle `k`, and `against` inverted if its winding is opposite to the root's."""
+    while parent[k] != k:  # path halving
+        above = parent[k]
+        turned[k] ^= turned[above]
+        parent[k] = parent[above]
+        against ^= turned[k]
+        k = parent[k]
+    return k, against
+
+
 @entry
 def _unite(
     first: Numbers,
@@ -148,18 +160,8 @@ def _unite(
             continue
         a, b = side // 3, first_side // 3
         against = forward[side] == forward[first_side]
-        while parent[a] != a:  # path halving
-            above = parent[a]
-            turned[a] ^= turned[above]
-            parent[a] = parent[above]
-            against ^= turned[a]
-            a = parent[a]
-        while parent[b] != b:
-            above = parent[b]
-            turned[b] ^= turned[above]
-            parent[b] = parent[above]
-            against ^= turned[b]
-            b = parent[b]
+        a, against = _find_root(parent, turned, a, against)
+        b, against = _find_root(parent, turned, b, against)
         if a == b:
             torn[a] |= against
         elif a < b:

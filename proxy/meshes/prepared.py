@@ -114,7 +114,7 @@ def prepare_tree(obj: schema.Mesh, folder: Folder = array_cache.FOLDER) -> Tree:
     tree, summary = _from_disk(key, trees.Tree, folder) or (None, None)
     if tree is None or summary is None:
         if obj.elastic is not None:
-            _prepare_body(obj)  # shows its own progress
+            _prepare_body(obj)  # also displays its progress
         with progress.display(f"building the mesh of {obj.name}", STAGES) as advance:
             mended = _read_and_mend(obj, data, advance)
             tree = trees.build_tree(*mended[0])

@@ -109,7 +109,7 @@ def compute_vertex_normals(vertices: Doubles, triangles: Whole) -> Doubles:
         a, b, c = corners
         face = normalize(np.cross(b - a, c - a))
         for i in range(3):
-            here, ahead, behind = (corners[(i + turn) % 3] for turn in range(3))
+            here, ahead, behind = (corners[(i + k) % 3] for k in range(3))
             cosines = (normalize(ahead - here) * normalize(behind - here)).sum(axis=1)
             angles = np.arccos(np.clip(cosines, -1.0, 1.0))
             for axis in range(3):  # one dimension: several times as fast

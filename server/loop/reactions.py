@@ -70,7 +70,7 @@ def collect_reactions(
 def make_reaction(
     outcome: ContactOutcome, bodies: Bodies, force_share: float, torque_share: float, center: Vec3
 ) -> Reaction:
-    body = bodies.riders[int(outcome.object)] if outcome.object >= 0.0 else 0.0
+    body = bodies.attached[int(outcome.object)] if outcome.object >= 0.0 else 0.0
     force, torque = vec3.scale(force_share, outcome.force), vec3.scale(torque_share, outcome.torque)
     return Reaction(body, force, torque, center, read_body_pose(bodies.block, body, POSITION))
 

@@ -101,7 +101,7 @@ def follow_surface(scene: Any, values: Array, points: Array, height: float) -> N
     """
     parameters = unpack(scene, values)
     finger = parameters.fingers[0]
-    objects = minkowski_objects(finger.form, finger.radius, parameters.objects, (1.0, 0.0, 0.0, 0.0))
+    objects = minkowski_objects(finger, parameters.objects, (1.0, 0.0, 0.0, 0.0))
     for i in range(points.shape[0]):
         x = (points[i, 0], points[i, 1], points[i, 2])
         _, nearest, normal, _ = find_closest_within(objects, 0.0, x, BUDGET)

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.arrays import ReadOnly
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest, curvature
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, compute_direction
 from softfinger.proxy.scene import Body, shape_bodies
 
 
@@ -40,7 +40,7 @@ def nearest_bead(shape: Beads, x: Any) -> tuple[float, tuple[float, float, float
 @closest.of(Beads)
 def closest_on_beads(shape: Beads, x: Any) -> Any:
     gap, center, radius = nearest_bead(shape, x)
-    _, normal = direction(vec3.sub(x, center), Z_AXIS)
+    _, normal = compute_direction(vec3.sub(x, center), Z_AXIS)
     return gap, vec3.add_scaled(center, radius, normal), normal
 
 

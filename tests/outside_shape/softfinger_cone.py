@@ -13,7 +13,7 @@ from softfinger.config.limits import Range
 from softfinger.config.schema import ObjectBase, add_shape, within
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest, curvature
-from softfinger.proxy.kernels.shapes.protocol import X_AXIS, direction, offset
+from softfinger.proxy.kernels.shapes.protocol import X_AXIS, compute_direction, compute_offset_curvature
 from softfinger.proxy.scene import Body, shape_bodies
 
 ANGLE_RAD = Range(0.05, 1.5, "a needle and a plane are other shapes")
@@ -29,10 +29,10 @@ class Cone(NamedTuple):
 @closest.of(Cone)
 def closest_on_cone(shape: Cone, x: Any) -> Any:
     """Return the closest point on the flank, or the apex. On the axis the flank toward x is used."""
-    distance, radial = direction((x[0], x[1], 0.0), X_AXIS)
+    distance, radial = compute_direction((x[0], x[1], 0.0), X_AXIS)
     down = distance * shape.sine - x[2] * shape.cosine  # along the closest straight line of the flank
     if down <= 0.0:
-        gap, normal = direction(x, (0.0, 0.0, 1.0))
+        gap, normal = compute_direction(x, (0.0, 0.0, 1.0))
         return gap, (0.0, 0.0, 0.0), normal
     gap = distance * shape.cosine + x[2] * shape.sine
     normal = (shape.cosine * radial[0], shape.cosine * radial[1], shape.sine)
@@ -42,12 +42,12 @@ def closest_on_cone(shape: Cone, x: Any) -> Any:
 @curvature.of(Cone)
 def curvature_of_cone(shape: Cone, radius: float, point: Any, normal: Any) -> Any:
     """Return the curvature about the axis, and zero along the flank; on the apex that of the fingertip."""
-    _, radial = direction((normal[0], normal[1], 0.0), X_AXIS)
+    _, radial = compute_direction((normal[0], normal[1], 0.0), X_AXIS)
     around = (-radial[1], radial[0], 0.0)
     down = shape.sine * (point[0] * radial[0] + point[1] * radial[1]) - shape.cosine * point[2]
     if down <= 1e-12:
         return 1.0 / radius, 1.0 / radius, around
-    return offset(shape.cosine / (down * shape.sine), radius), 0.0, around
+    return compute_offset_curvature(shape.cosine / (down * shape.sine), radius), 0.0, around
 
 
 @add_shape

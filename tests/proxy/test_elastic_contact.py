@@ -264,7 +264,7 @@ def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_round
 def test_an_expected_change_that_is_not_a_number_is_not_used() -> None:
     surface = start_state(Engine(scene()).scene).world.surfaces[0]
     for change, expected in ((np.nan, 0.0), (1.1, 0.0), (0.9, 0.9)):
-        assert surfaces.expect(surface, (change, 0.0, 0.0), 1.0) == (expected, 0.0, 0.0)
+        assert surfaces.predict_displacement(surface, (change, 0.0, 0.0), 1.0) == (expected, 0.0, 0.0)
 
 
 def test_two_fingers_displace_each_other_through_the_body() -> None:

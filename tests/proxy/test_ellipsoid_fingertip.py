@@ -115,7 +115,8 @@ def test_equal_radii_are_the_ball(names: tuple[str, ...]) -> None:
 def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
     """The radius is 1 / sqrt(k1 k2), the curvatures from the second derivatives of the ellipsoid's equation."""
     rng = np.random.default_rng(2)
-    form = model.EllipsoidTip(AXES, TURN)
+    tip = {"radii_m": list(AXES), "orientation_wxyz": list(TURN)}
+    finger = build_scene(scene(tip, TABLES["plane"])).fingers[0]
     for _ in range(4):
         n = rng.normal(size=3)
         n /= np.linalg.norm(n)
@@ -123,7 +124,7 @@ def test_roundness_is_the_curvature_radius_at_the_contact_point() -> None:
         spot = touching_at(AXES, multiply(q, TURN), n)
         _, bend = compute_normal_and_curvature(spot, model.Ellipsoid(AXES, 1.0))
         curvatures = np.linalg.eigvalsh(bend)[1:]  # the third is 0, along the normal
-        radius = compute_radius_of_curvature(form, min(AXES), tuple(q), tuple(n))
+        radius = compute_radius_of_curvature(finger, tuple(q), tuple(n))
         assert radius == pytest.approx(1.0 / np.sqrt(curvatures.prod()), rel=1e-12)
 
 

@@ -21,7 +21,7 @@ from softfinger.proxy.kernels import model
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.query.container import MAX_ENTRIES
 from softfinger.proxy.kernels.shapes import closest
-from softfinger.proxy.kernels.shapes.any_shape import reach_of
+from softfinger.proxy.kernels.shapes.any_shape import compute_reach
 from softfinger.proxy.many import make_many
 from softfinger.proxy.scene import build_scene
 
@@ -110,7 +110,7 @@ def test_bounding_spheres_contain_their_shapes(kind: str) -> None:
     shape = build_scene(scene(SHAPES[kind])).objects.body.shape
     points = np.random.default_rng(0).normal(size=(500, 3))
     farthest = max(np.linalg.norm(closest(shape, tuple(x))[1]) for x in 0.1 * points)
-    reach = reach_of(shape)
+    reach = compute_reach(shape)
     assert farthest <= reach * (1.0 + 1e-12) and (farthest > 0.8 * reach or reach == np.inf)
 
 

@@ -16,7 +16,7 @@ from softfinger.server.cli import main
 from softfinger.tools.bench.commands import FORCE_N, count_torn
 from softfinger.tools.bench.loop import open_devices
 from softfinger.tools.bench.soak import SoakResult, compute_growth, evaluate
-from softfinger.tools.bench.view import TurnResult, summary
+from softfinger.tools.bench.view import TurnResult, summarize_turns
 
 
 def small(line: str, part: str, *marks: pytest.MarkDecorator) -> Any:
@@ -81,7 +81,7 @@ def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatc
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:
     """Of two turns with 2 misses each and 3 ticks each, 4 of 10 were missed; frames are the least and the median."""
     ticks = np.array([[1e-5, 1e-4, 5.0], [1e-5, 1e-4, 5.0], [1e-5, 1e-4, 7.0]])
-    result = summary([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
+    result = summarize_turns([TurnResult(ticks, 0.1, [20.0, 40.0]), TurnResult(ticks, 0.3, [30.0])])
     assert result["missed_of_1000"] == pytest.approx(400.0) and result["viewer_load"] == pytest.approx(0.2)
     assert result["frames_per_s"] == {"least": 20.0, "median": 30.0}
 

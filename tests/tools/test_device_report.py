@@ -139,7 +139,7 @@ def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.nda
 def test_a_motion_has_an_axis_and_a_sense(direction: tuple[float, float, float], motion: str) -> None:
     share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
     path = share * np.array(direction) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
-    result = motions.move("ask", "translation", "+x", poses(path))
+    result = motions.measure_motion("ask", "translation", "+x", poses(path))
     assert result["seen"] == motion and result["agrees"] == (motion == "+x")
     np.testing.assert_allclose(result["vector"], direction, atol=1e-12)  # rounding of a median
 
@@ -151,7 +151,7 @@ def test_a_turn_is_the_rotation_between_first_and_last() -> None:
     ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
     orientation = np.array([np.roll(rotation.as_quat(), 1) for rotation in ways])  # scipy has w last
     orientation[25:] *= -1.0
-    result = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
+    result = motions.measure_motion("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
     np.testing.assert_allclose(result["vector"], turn, atol=1e-12)  # rounding of products
     assert result["seen"] == "+z" and result["unit"] == "rad"
 
@@ -165,7 +165,7 @@ def test_noise_at_rest_and_range_of_known_rows() -> None:
     # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
     np.testing.assert_allclose(result["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
     assert result["rotation_std_rad"] is None
-    span = motions.reach(rows)
+    span = motions.measure_range(rows)
     assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
     assert motions.measure_rest(rows[7:8], turns=False) is None
     rows[:3, SAMPLE + SAMPLE_BUTTONS] = (4.0, 1.0, 4.0)
@@ -199,7 +199,7 @@ def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> n
 )  # fmt: skip
 def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
     for sign, motion in ((1.0, plus), (-1.0, minus)):
-        result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
+        result = motions.measure_response(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
         assert result["axis"] == "+z" and result["moved_axis"] == "y"
         assert motion in result["seen"], result
         assert result["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
@@ -208,12 +208,12 @@ def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: s
 def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
     rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
     rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
-    result = motions.push(2, 1.0, RATE_HZ, rows)
+    result = motions.measure_response(2, 1.0, RATE_HZ, rows)
     assert result["seen"].startswith(("not clear", "+y"))
     rows[:, SAMPLE + 1] = 0.0
-    result = motions.push(2, 1.0, RATE_HZ, rows)
+    result = motions.measure_response(2, 1.0, RATE_HZ, rows)
     assert result["seen"].startswith("not clear")
     rows[:, SAMPLE] = 0.0
-    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"
+    assert motions.measure_response(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"
     rows[:, FORCE + 2] = 0.0
-    assert motions.push(2, 1.0, RATE_HZ, rows) is None
+    assert motions.measure_response(2, 1.0, RATE_HZ, rows) is None

@@ -238,7 +238,7 @@ def test_a_cache_that_others_may_write_is_bad(open_folder: Path, monkeypatch: py
     for mode, is_bad in ((0o755, False), (0o777, True)):
         open_folder.chmod(mode)
         monkeypatch.setattr(loop, "KERNEL_FOLDER", Folder(open_folder))
-        check = loop.cache(load_rig("replay"), "frictionless-plane", load_scene("frictionless-plane"))
+        check = loop.check_cache(load_rig("replay"), "frictionless-plane", load_scene("frictionless-plane"))
         assert (check.state == "bad") == is_bad
     assert "can be written by other users" in check.seen and "SOFTFINGER_CACHE_DIR" in check.remedy
 

@@ -65,7 +65,7 @@ def compute_weight(y: float, y_ahead: float) -> float:
 
 @jit
 def find_largest(v: Coordinates, y: Coordinates, y_ahead: Coordinates) -> float:
-    """Return the largest component of v, each relative to the larger of y and other, or to the threshold."""
+    """Return the largest component of v, each relative to the larger of y and y_ahead, or to the threshold."""
     first = max(abs(v.u_f) * compute_weight(y.u_f, y_ahead.u_f), abs(v.v_f) * compute_weight(y.v_f, y_ahead.v_f))
     second = max(abs(v.u_o) * compute_weight(y.u_o, y_ahead.u_o), abs(v.v_o) * compute_weight(y.v_o, y_ahead.v_o))
     return max(first, second, abs(v.psi) * compute_weight(y.psi, y_ahead.psi))
@@ -92,22 +92,22 @@ def solve_ode45(
         last = 1.1 * h >= span - t
         if last:
             h = span - t
-        at = angle + spin_rate * t
+        start_angle = angle + spin_rate * t
         turn = spin_rate * h
-        k2 = compute_slope(radius, shape, advance(y, h / 5, k1), w, normal, at + turn / 5)
+        k2 = compute_slope(radius, shape, advance(y, h / 5, k1), w, normal, start_angle + turn / 5)
         ahead = advance(advance(y, h * 3 / 40, k1), h * 9 / 40, k2)
-        k3 = compute_slope(radius, shape, ahead, w, normal, at + turn * 3 / 10)
+        k3 = compute_slope(radius, shape, ahead, w, normal, start_angle + turn * 3 / 10)
         ahead = advance(advance(advance(y, h * 44 / 45, k1), h * -56 / 15, k2), h * 32 / 9, k3)
-        k4 = compute_slope(radius, shape, ahead, w, normal, at + turn * 4 / 5)
+        k4 = compute_slope(radius, shape, ahead, w, normal, start_angle + turn * 4 / 5)
         ahead = advance(advance(y, h * 19372 / 6561, k1), h * -25360 / 2187, k2)
         ahead = advance(advance(ahead, h * 64448 / 6561, k3), h * -212 / 729, k4)
-        k5 = compute_slope(radius, shape, ahead, w, normal, at + turn * 8 / 9)
+        k5 = compute_slope(radius, shape, ahead, w, normal, start_angle + turn * 8 / 9)
         ahead = advance(advance(y, h * 9017 / 3168, k1), h * -355 / 33, k2)
         ahead = advance(advance(advance(ahead, h * 46732 / 5247, k3), h * 49 / 176, k4), h * -5103 / 18656, k5)
-        k6 = compute_slope(radius, shape, ahead, w, normal, at + turn)
+        k6 = compute_slope(radius, shape, ahead, w, normal, start_angle + turn)
         ahead = advance(advance(advance(y, h * 35 / 384, k1), h * 500 / 1113, k3), h * 125 / 192, k4)
         ahead = advance(advance(ahead, h * -2187 / 6784, k5), h * 11 / 84, k6)
-        k7 = compute_slope(radius, shape, ahead, w, normal, at + turn)
+        k7 = compute_slope(radius, shape, ahead, w, normal, start_angle + turn)
         count += 6
         nothing = Coordinates(0.0, 0.0, 0.0, 0.0, 0.0)
         error_estimate = advance(advance(advance(nothing, 71 / 57600, k1), -71 / 16695, k3), 71 / 1920, k4)

@@ -220,8 +220,8 @@ def make_lead_path(shape: Any, foot: Array, normal: Array, heading: float, ticks
     east /= np.linalg.norm(east)
     axis = np.cos(heading) * np.cross(normal, east) - np.sin(heading) * east
     t = np.linspace(0.0, 1.0, ticks)
-    begun = foot + RADIUS_M * normal
-    points, normals, _ = roll_path(shape, RADIUS_M, begun, normal, lambda _: TURN_RAD * axis).at(t)
+    start = foot + RADIUS_M * normal
+    points, normals, _ = roll_path(shape, RADIUS_M, start, normal, lambda _: TURN_RAD * axis).at(t)
     down = np.minimum(np.arange(DESCENT_TICKS) / (0.7 * DESCENT_TICKS), 1.0)[:, None]
     heights = RADIUS_M + 0.1 * DEPTH_M - 1.1 * DEPTH_M * down
     places = np.concatenate([points[0] + heights * normals[0], points + (RADIUS_M - DEPTH_M) * normals])

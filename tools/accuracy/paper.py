@@ -89,7 +89,7 @@ def compute_method_path(name: str, motion: str) -> Array:
     """Return the contact points (STEPS + 1, 3) m of a rolling method.
 
     In the contact frame, euler_zxz uses the heading phi, since the axes are the ones before the step; the published
-    differences belong to this choice. In all other cases a method uses its own heading.
+    differences belong to this choice. In all other cases the heading is that of the method.
     """
     method = METHODS[name]
     if motion == "world":

@@ -19,28 +19,28 @@ from softfinger.proxy.kernels import model
 from softfinger.tools.measure import Array
 
 Gradient = tuple[Array, Array]
-"""First (3,) and second (3, 3) derivatives of F."""
+"""First (3,) and second (3, 3) derivatives of F at p, for a surface F(p) = 0."""
 
 
-def make_plane(p: Array, shape: model.Plane) -> Gradient:
+def compute_plane_gradient(p: Array, shape: model.Plane) -> Gradient:
     return np.array(shape.normal), np.zeros((3, 3))
 
 
-def make_sphere(p: Array, shape: model.Sphere) -> Gradient:
+def compute_sphere_gradient(p: Array, shape: model.Sphere) -> Gradient:
     return 2 * p, 2 * np.eye(3)
 
 
-def make_cylinder(p: Array, shape: model.Cylinder) -> Gradient:
+def compute_cylinder_gradient(p: Array, shape: model.Cylinder) -> Gradient:
     flat = np.diag([2.0, 2.0, 0.0])
     return flat @ p, flat
 
 
-def make_ellipsoid(p: Array, shape: model.Ellipsoid) -> Gradient:
+def compute_ellipsoid_gradient(p: Array, shape: model.Ellipsoid) -> Gradient:
     hessian = np.diag(2 / np.array(shape.semi_axes) ** 2)
     return hessian @ p, hessian
 
 
-def make_torus(p: Array, shape: model.Torus) -> Gradient:
+def compute_torus_gradient(p: Array, shape: model.Torus) -> Gradient:
     """Use F = (q - a)^2 + z^2 - b^2 with q the distance from the axis."""
     flat = np.array([p[0], p[1], 0.0])
     q = np.hypot(p[0], p[1])
@@ -59,7 +59,7 @@ class Hills(NamedTuple):
         return self.amplitude * np.cos(k * x) * np.cos(k * y)
 
 
-def make_hills(p: Array, shape: Hills) -> Gradient:
+def compute_hills_gradient(p: Array, shape: Hills) -> Gradient:
     """Use F = z - h(x, y)."""
     a, k = shape.amplitude, 2.0 * np.pi / shape.wavelength
     (cx, cy), (sx, sy) = np.cos(k * p[:2]), np.sin(k * p[:2])
@@ -68,12 +68,12 @@ def make_hills(p: Array, shape: Hills) -> Gradient:
 
 
 GRADIENTS: dict[type, Callable[..., Gradient]] = {
-    model.Plane: make_plane,
-    model.Sphere: make_sphere,
-    model.Cylinder: make_cylinder,
-    model.Ellipsoid: make_ellipsoid,
-    model.Torus: make_torus,
-    Hills: make_hills,
+    model.Plane: compute_plane_gradient,
+    model.Sphere: compute_sphere_gradient,
+    model.Cylinder: compute_cylinder_gradient,
+    model.Ellipsoid: compute_ellipsoid_gradient,
+    model.Torus: compute_torus_gradient,
+    Hills: compute_hills_gradient,
 }
 
 

@@ -31,7 +31,7 @@ def print_report(result: dict[str, Any], file: TextIO | None = None) -> None:
         format_speed_table,
         format_orders_table,
         format_front_table,
-        sweep_table,
+        format_sweep_table,
         format_drift_table,
     ):
         text = part(result)
@@ -114,7 +114,7 @@ def span(values: Sequence[float], form: str) -> str:
     return first if first == last else f"{first} .. {last}"
 
 
-def sweep_table(result: dict[str, Any]) -> Any:
+def format_sweep_table(result: dict[str, Any]) -> Any:
     """Return the table of values varied at one servo rate, without the sweep over rates: the worst of all surfaces."""
     ladder = {id(row) for row in select_standard(result["trade"])}
     keys = ("motion", "turn_rate_rad_per_s", "given_ratio", "spin_ratio", "rate_hz")

@@ -77,12 +77,12 @@ def time_ticks(
     for block in range(short_ns.shape[0]):
         cpu_begun = read_thread_cpu_ns(timespec)
         for part in range(short_ns.shape[1]):
-            begun = read_clock_ns(timespec)
+            start_ns = read_clock_ns(timespec)
             end = close_loop(tuning, start, memory, plant, state, drive, TickRange(tick, CLOCK_TICKS, dt), np.inf)
             memory, state = end.memory, end.state
             strongest = max(strongest, end.force)
             tick += CLOCK_TICKS
-            short_ns[block, part] = read_clock_ns(timespec) - begun
+            short_ns[block, part] = read_clock_ns(timespec) - start_ns
         cpu_ns[block] = read_thread_cpu_ns(timespec) - cpu_begun
     return strongest
 

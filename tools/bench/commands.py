@@ -125,7 +125,7 @@ def run(args: argparse.Namespace) -> int:
         quiet, _ = call_at_rate(listener, lambda: None, args.rate, args.seconds, "without commands")
         rows, answers = call_at_rate(listener, make_setter(control), args.rate, args.seconds, "set_params")
         swap_rows, memory = alternate_scenes(listener, control, process.pid, args.swaps)
-    # Rises alone: before a swap the switch brings the force to zero faster than the slew limit.
+    # Only increases: before a swap the switch reduces the force to zero faster than the slew limit allows.
     steps = np.diff(np.abs(swap_rows[:, 2]))[(np.diff(swap_rows[:, 0]) == 1.0) & (swap_rows[1:, 1] <= PAUSE_MAX_S)]
     result = {
         "ticks_without": len(quiet), "missed_without": count_missed(quiet),
@@ -186,9 +186,9 @@ def call_at_rate(
     count = max(1, round(rate_hz * seconds))
     durations = np.zeros(count)
     with show_progress(operation, count) as advance:
-        begun = time.monotonic()
+        start_s = time.monotonic()
         for number in range(count):
-            listener.take(begun + number / rate_hz)
+            listener.take(start_s + number / rate_hz)
             start = time.monotonic()
             ask()
             durations[number] = time.monotonic() - start

@@ -132,7 +132,7 @@ def open_devices(rig: Rig, scene: Scene) -> Iterator[list[Device]]:
 
 @contextmanager
 def spin_python() -> Iterator[None]:
-    """Run another thread of this process that keeps the interpreter busy."""
+    """Run another thread of this process that occupies the interpreter."""
     stop = threading.Event()
 
     def spin() -> None:

@@ -52,10 +52,10 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder, show_progress("measuring meshes", len(cases)) as advance:
         for level, bumpy, radius in cases:
             file, vertices, triangles = write_ball(Path(folder), level, BUMPS_M if bumpy else 0.0)
-            begun = time.perf_counter()
+            start_s = time.perf_counter()
             scene = make_scene(radius, shape="mesh", file=file)
             row = {"triangles": len(triangles), "bumpy": bumpy, "fingertip_m": radius}
-            row["loaded_s"] = time.perf_counter() - begun
+            row["loaded_s"] = time.perf_counter() - start_s
             rows.append(row | measure_ticks(scene, radius, args) | count_visits(scene, vertices[triangles], radius))
             advance(len(rows))
         spheres = [measure_ticks(make_scene(r, shape="sphere", radius_m=RADIUS_M), r, args) for r in args.fingertip]
@@ -126,7 +126,7 @@ def measure_ticks(scene: schema.Scene, radius: float, args: argparse.Namespace) 
 
 
 @entry
-def ask(like: Any, values: Array, points: Array, visits: Array) -> None:
+def find_nearest_triangles(like: Any, values: Array, points: Array, visits: Array) -> None:
     """Store in `visits` (n, 3) the results for each of `points` (n, 3) m.
 
     The columns are the squared distance, the number of nodes and triangles visited and, for the first CHECKED_POINTS,
@@ -148,7 +148,7 @@ def count_visits(scene: schema.Scene, corners: Array, radius: float) -> dict[str
     mesh = build_scene(scene).objects.body.shape
     points = np.ascontiguousarray(make_path(BLOCK, radius)[:, :3])
     nearest = np.zeros((len(points), 3))
-    ask(mesh, flatten(mesh), points, nearest)
+    find_nearest_triangles(mesh, flatten(mesh), points, nearest)
     wrong = np.abs(np.sqrt(nearest[:CHECKED_POINTS, 0]) - np.sqrt(nearest[:CHECKED_POINTS, 2])).max()
     percentiles_s = [float(np.percentile(nearest[:, 1], at)) for at in (50, 99, 100)]
     return {"asked": dict(zip(("p50", "p99", "max"), percentiles_s, strict=True)), "distance_error_m": float(wrong)}

@@ -178,7 +178,7 @@ def measure_sizes(name: str, pid: int) -> Sizes:
             words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
             role = next((word for word in words if word in ROLES), "child")
             result |= measure_sizes(f"{name}: {role}", child)
-    except (OSError, KeyError):  # it has ended
+    except (OSError, KeyError):  # the process does not exist any more
         return {}
     return result
 

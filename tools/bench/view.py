@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
                 name = list(page_counts)[number % len(page_counts)]
                 parts[name].append(measure(page_counts[name], endpoint, commands, args.seconds / turns))
                 advance(number + 1)
-    result = {name: summary(rows) for name, rows in parts.items()}
+    result = {name: summarize_turns(rows) for name, rows in parts.items()}
     late = {name: np.concatenate([turn.ticks[:, 0] for turn in turns]) for name, turns in parts.items()}
     texts = ("woken late", "ticks later than this", "")
     content = {"rig": args.rig, "seconds": args.seconds, "cases": result}
@@ -180,7 +180,7 @@ def open_pages(address: str, count: int) -> Iterator[list[Any]]:
             browser.close()
 
 
-def summary(turns: list[TurnResult]) -> dict[str, Any]:
+def summarize_turns(turns: list[TurnResult]) -> dict[str, Any]:
     late, busy = (np.concatenate([turn.ticks[:, column] for turn in turns]) for column in (0, 1))
     missed = [float(turn.ticks[-1, 2] - turn.ticks[0, 2]) for turn in turns]
     frames = [rate for turn in turns for rate in turn.frames]

@@ -67,7 +67,7 @@ def _apply(rig: Rig) -> list[realtime.Setting]:
     return applied.settings
 
 
-def cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
+def check_cache(rig: Rig, scene_name: str, scene: Scene) -> Check:
     bare = replace_device(rig)
     begun = time.monotonic()
     with (
@@ -131,7 +131,7 @@ def judge_loop(result: dict[str, Any]) -> list[Check]:
     ]
 
 
-def step(rig: Rig, scene_name: str, scene: Scene) -> Check:
+def check_step(rig: Rig, scene_name: str, scene: Scene) -> Check:
     """Measure the cost of a contact step, in contact, relative to the period."""
     with show_progress("measuring the contact step", STEP_BLOCKS) as advance:
         cost = step_cost(scene, make_touching_poses(scene), STEP_BLOCKS, advance)

@@ -68,7 +68,7 @@ def measure_drift(rows: Array) -> Array:
     return np.asarray(0.5 * (high - low))
 
 
-def reach(rows: Array) -> dict[str, list[float]] | None:
+def measure_range(rows: Array) -> dict[str, list[float]] | None:
     """Return the range of the handle: smallest and largest coordinates, m."""
     valid = select_finite(rows)[:, SAMPLE : SAMPLE + 3]
     if len(valid) == 0:
@@ -96,7 +96,7 @@ def compute_translation(rows: Array) -> Array:
     return displacement
 
 
-def move(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
+def measure_motion(request: str, kind: str, expected: str, rows: Array) -> dict[str, Any] | None:
     """Return the result of a requested motion. `kind`: translation or rotation; `expected`: an axis, as '+x'."""
     valid = select_finite(rows)
     if len(valid) == 0:
@@ -127,8 +127,8 @@ def name_axis(vector: Array, least: float) -> str:
     return f"{'+' if vector[largest] > 0.0 else '-'}{AXES[largest]}"
 
 
-def push(
-    axis: int, frequency_hz: float, rate_hz: float, rows: Array, own_m: Array | None = None
+def measure_response(
+    axis: int, frequency_hz: float, rate_hz: float, rows: Array, drift_m: Array | None = None
 ) -> dict[str, Any] | None:
     """Return the response to a push along an axis, from the motion that is correlated with the written force.
 
@@ -136,8 +136,9 @@ def push(
     of a cycle by which the motion follows the force: 0 for a handle on a spring, a quarter for a damped one, half a
     cycle for a free mass. Any passive load is within this range; a force of the wrong sign is outside.
 
-    rows   (n, ROW_SIZE) of the push; the result is None if they have no pose or no force
-    own_m  (3,) m, motion of the handle at rest; a response that is not larger cannot be attributed to the push
+    rows     (n, ROW_SIZE) of the push; the result is None if they have no pose or no force
+    drift_m  (3,) m, motion of the handle without a push (`measure_drift`); a response that is not larger cannot be
+             attributed to the push
     """
     is_valid = np.isfinite(rows[:, SAMPLE : SAMPLE + 3]).all(axis=1)
     force, place = rows[:, FORCE + axis], rows[:, SAMPLE : SAMPLE + 3]
@@ -162,21 +163,21 @@ def push(
         "m_per_n": compliance,
         "lag_deg": lag,
         "share": share,
-        "seen": _judge(AXES[k], compliance * largest, lag, share, 0.0 if own_m is None else float(own_m[k])),
+        "seen": _judge(AXES[k], compliance * largest, lag, share, 0.0 if drift_m is None else float(drift_m[k])),
     }
 
 
 def _remove_drift(drift: Array, values: Array) -> Array:
     """Return `values` (n, k) without the part that `drift` (n, m) explains."""
     fit, *_ = np.linalg.lstsq(drift, values, rcond=None)
-    rest_of: Array = values - drift @ fit
-    return rest_of
+    remainder: Array = values - drift @ fit
+    return remainder
 
 
-def _judge(axis: str, size_m: float, lag_deg: float, share: float, own_m: float) -> str:
+def _judge(axis: str, size_m: float, lag_deg: float, share: float, drift_m: float) -> str:
     if size_m < MIN_RESPONSE_M:
         return "no motion"
-    if size_m < own_m:
+    if size_m < drift_m:
         return f"unclear: at rest the handle moved along {axis} by as much"
     if share < SHARE_MIN:
         return f"not clear: the push accounts for {share:.0%} of the motion"

@@ -72,7 +72,7 @@ class ProbeSession(DeviceSession):
             rows = self._record_motion(motion.words) if is_supported else self._record("further options", self._seconds)
             parts.append(rows)
             requested = self._guided and is_supported
-            result = motions.move(motion.words, motion.kind, motion.expected, rows) if requested else None
+            result = motions.measure_motion(motion.words, motion.kind, motion.expected, rows) if requested else None
             if result is not None:
                 self._report["moves"].append(result)
         parts.append(self._record_motion("press each button in turn, and turn the handle"))

@@ -46,7 +46,7 @@ class ReportRequest(NamedTuple):
     force_option  option of the pushes
     force_n       largest force of the pushes, N; None: only zero force is sent
     seconds       length of each part but the first
-    guided        whether a user at a terminal is asked to move the handle
+    guided        whether a user at a terminal is to move the handle
     as_json       whether the report is printed as JSON
     plot          path of the figure of the timing, if any
     """
@@ -87,8 +87,8 @@ def make_report(
 ) -> int:
     """Run a session of the device of a rig, then write and print the report; returns the exit code.
 
-    `head` returns lines above the text. Raises ConfigError for an unusable file. After the report was written, raises
-    the error that prevented opening the device or ended its exchange.
+    `head` returns lines above the text. Raises ConfigError for an unusable file. After the report is written, it raises
+    the error with which the device failed to open, or its exchange stopped.
     """
     file = Path(request.file or f"softfinger-{find_single_device(rig).driver}-report.json")
     if not file.parent.is_dir() or file.is_dir():

@@ -26,7 +26,7 @@ MIN_PART: Final = 0.5
 
 
 class RequestedMotion(NamedTuple):
-    """Motion that the user is asked for, and the expected axis of the motion."""
+    """Motion requested from the user, and its expected axis."""
 
     words: str
     kind: str
@@ -46,7 +46,7 @@ class DeviceSession:
 
     exchange  runs
     seconds   length of each part but the first
-    guided    whether a user at a terminal is asked to move the handle
+    guided    whether a user at a terminal is to move the handle
     freedom   of a device that moves on an arc or in a plane; motions that it does not support are not requested
     """
 
@@ -61,7 +61,7 @@ class DeviceSession:
     ) -> None:
         self._exchange, self._info, self._report = exchange, info, report
         self._seconds, self._guided, self._freedom = seconds, guided, freedom
-        self._own_m = np.zeros(3)
+        self._drift_m = np.zeros(3)
         self._rows: list[Array] = []
         self.timing = np.zeros((0, ROW_SIZE))
         """Rows of the part that times the exchange."""
@@ -91,7 +91,7 @@ class DeviceSession:
 
     def _measure_rest(self, rows: Array) -> None:
         self._report["rest"] = motions.measure_rest(rows, self._info.sensed_dof > 3)
-        self._own_m = motions.measure_drift(rows)
+        self._drift_m = motions.measure_drift(rows)
 
     def _record_timing(self) -> None:
         self.timing = self._record("the exchange", self._seconds)
@@ -105,7 +105,8 @@ class DeviceSession:
         moves = [*self._measure_translations(), *([TURN] if self._info.sensed_dof > 3 else [])]
         for motion in moves:
             self._ask(f"{motion.words}, within {self._seconds:g} s, and keep it there")
-            result = motions.move(motion.words, motion.kind, motion.expected, self._record(motion.words, self._seconds))
+            rows = self._record(motion.words, self._seconds)
+            result = motions.measure_motion(motion.words, motion.kind, motion.expected, rows)
             if result is not None:
                 self._report["moves"].append(result)
                 print(f"  seen: {result['seen']}", file=sys.stderr)
@@ -124,7 +125,7 @@ class DeviceSession:
                 x, y, z = (force_n if k == axis else 0.0 for k in range(3))
                 push = Push((x, y, z), frequency_hz, seconds)
                 rows = self._record(f"a push along {motions.AXES[axis]}", seconds, push)
-                result = motions.push(axis, frequency_hz, self._exchange.rate_hz, rows, self._own_m)
+                result = motions.measure_response(axis, frequency_hz, self._exchange.rate_hz, rows, self._drift_m)
                 if result is not None:
                     yield axis, result
 
@@ -148,7 +149,7 @@ class DeviceSession:
     def _record(self, operation: str, seconds: float, push: Push | None = None) -> Array:
         rows = self._exchange.record(seconds, push or NO_PUSH, operation)
         self._rows.append(rows)
-        self._report["range"] = motions.reach(np.concatenate(self._rows))
+        self._report["range"] = motions.measure_range(np.concatenate(self._rows))
         return rows
 
     def _ask(self, words: str) -> None:

@@ -54,9 +54,9 @@ def examine(
     steps: tuple[Callable[[], list[Check]], ...] = (
         machine.list_checks,
         lambda: loop.check_settings(rig),
-        lambda: [loop.cache(rig, scene_name, scene)],
+        lambda: [loop.check_cache(rig, scene_name, scene)],
         lateness,
-        lambda: [loop.step(rig, scene_name, scene)],
+        lambda: [loop.check_step(rig, scene_name, scene)],
         lambda: [loop.check_endpoint(rig)],
         lambda: attached.list_checks(rig),
     )

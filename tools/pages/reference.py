@@ -102,7 +102,7 @@ _FOLDER_FILES: Final = {
 }
 
 
-def record() -> str:
+def make_record_page() -> str:
     head = """\
 # The record of a tick
 
@@ -307,7 +307,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "rigs.md": make_rigs_page,
     "drivers.md": make_drivers_page,
     "experiments.md": make_experiments_page,
-    "record.md": record,
+    "record.md": make_record_page,
     "telemetry.md": make_telemetry_page,
     "commands.md": make_commands_page,
     "states.md": make_states_page,

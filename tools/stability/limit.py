@@ -82,7 +82,7 @@ MAX_STIFFNESS: Final = 1e12
 class WallCase(CaseOptions, frozen=True, kw_only=True):
     @property
     def period_s(self) -> float:
-        """Length of a tick, in whole ns like the servo's."""
+        """Length of a tick, rounded to ns as in the servo."""
         return compute_period_ns(self.rate_hz) / NS_PER_S
 
     def linear(self) -> LinearLoop:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.fingertip import add_surface_velocity, compute_radius_of_curvature
 from softfinger.proxy.kernels.contact.normal import compute_normal_force
-from softfinger.proxy.kernels.contact.resistance import ResistanceInput, resist
+from softfinger.proxy.kernels.contact.resistance import resist
 from softfinger.proxy.kernels.contact.texture import apply_grip, apply_relief
 from softfinger.proxy.kernels.friction.contact_patch import (
     ContactPatch,
@@ -30,7 +30,7 @@ from softfinger.proxy.kernels.model import (
     FrictionInput,
     FrictionResult,
     Material,
-    Probe,
+    ProbeMotion,
     Quaternion,
     Vec3,
 )
@@ -71,26 +71,18 @@ class Prediction(NamedTuple):
     is_new: bool
 
 
-class ProbeMotion(NamedTuple):
-    """Probe in this tick and in the last one, and the time between them, s."""
-
-    probe: Probe
-    last: Probe
-    dt: float
-
-
 class NormalForce(NamedTuple):
     """Normal force, N, and the unit vector (3,) of its direction on the hand."""
 
     size: float
-    along: Vec3
+    direction: Vec3
 
 
 class ContactForces(NamedTuple):
     """Result of friction for one contact.
 
     result             FrictionResult
-    area               ContactPatch
+    patch              ContactPatch
     unit               of the torsional wind-up, see `compute_winding_unit`
     load     N         normal force during friction
     bend     (3,)      wind-up against rolling, see `ContactState.bend`
@@ -98,7 +90,7 @@ class ContactForces(NamedTuple):
     """
 
     result: FrictionResult
-    area: ContactPatch
+    patch: ContactPatch
     unit: float
     load: float
     bend: Vec3
@@ -116,7 +108,7 @@ def find_ground(objects: Any, index: float) -> Ground:
 def find_textured_ground(objects: Any, index: float, active: ActiveSet, center: Vec3) -> Ground:
     """Return `find_ground` with the friction that its texture has under the proxy's `center` (3,) m."""
     body = find_object(objects, index)
-    body = apply_grip(body.texture, body, index, active, center)
+    body = apply_grip(body, index, active, center)
     return Ground(body.scene_index, body.material, pose_values(body.pose).orientation, make_carry(body))
 
 
@@ -126,29 +118,28 @@ def compute_load(
 ) -> NormalForce:
     """Return the normal force of a constraint; `is_new` is True in the first tick of a contact."""
     probe, last, dt = motion
-    speed = compute_relative_velocity(ground.carry, probe.velocity, last.position, dt)
-    speed = add_surface_velocity(
-        finger.form, speed, ground.carry, probe, last, constraint.normal, 0.0 if is_new else dt
-    )
+    velocity = compute_relative_velocity(ground.carry, probe.velocity, last.position, dt)
+    if not is_new:
+        velocity = add_surface_velocity(finger, velocity, ground.carry, motion, constraint.normal)
     body = find_object(objects, constraint.object_index)
-    depth, direction = apply_relief(body.texture, body, constraint.depth, constraint.normal, probe.position)
-    return NormalForce(compute_normal_force(ground.material.normal, depth, vec3.dot(speed, direction)), direction)
+    depth, direction = apply_relief(body, constraint.depth, constraint.normal, probe.position)
+    return NormalForce(compute_normal_force(ground.material.normal, depth, vec3.dot(velocity, direction)), direction)
 
 
 @jit
 def apply_friction(
-    finger: Finger, objects: Any, ground: Ground, predicted: Prediction, share: float, motion: ProbeMotion
+    finger: Finger, objects: Any, ground: Ground, predicted: Prediction, motion: ProbeMotion
 ) -> ContactForces:
-    """Compute friction, torsion and rolling resistance of a contact that has this share of the springs."""
-    contact, material, probe = predicted.contact, ground.material, motion.probe
+    """Compute friction, torsion and rolling resistance of a contact, which has the load share of the springs."""
+    contact, material, share = predicted.contact, ground.material, predicted.contact.share
     constraint = Constraint(contact.object_index, contact.normal, contact.push)
     load = compute_load(finger, objects, ground, constraint, motion, predicted.is_new).size
-    round_by = compute_radius_of_curvature(finger.form, finger.radius, probe.orientation, contact.normal)
-    area = compute_contact_patch(finger.patch, round_by, material.compliance, load)
-    unit = compute_winding_unit(find_spring(material.torsion), area, share)
+    curvature_radius = compute_radius_of_curvature(finger, motion.probe.orientation, contact.normal)
+    patch = compute_contact_patch(finger.patch, curvature_radius, material.compliance, load)
+    unit = compute_winding_unit(find_spring(material.torsion), patch, share)
     result = stick_slip(
         rotate_law(material.friction, ground.orientation),
-        adapt_torsion(scale_stiffness(material.torsion, share), area),
+        adapt_torsion(scale_stiffness(material.torsion, share), patch),
         Coupling(
             share * finger.coupling.stiffness,
             share * finger.coupling.damping,
@@ -173,9 +164,8 @@ def apply_friction(
             normal_force=load,
         ),
     )
-    resistance_input = ResistanceInput(contact.normal, share, contact.bend, predicted.is_new)
-    bend, bending_moment = resist(finger.patch, ground.carry, resistance_input, probe, motion.last, area)
-    return ContactForces(result, area, unit, load, bend, bending_moment)
+    bend, bending_moment = resist(finger, ground.carry, contact, predicted.is_new, motion, patch)
+    return ContactForces(result, patch, unit, load, bend, bending_moment)
 
 
 @jit

@@ -31,22 +31,24 @@ def adjust_roll_in_hollow(
     returns  Roll, the part of it (3,) m that the centre has not followed, and True if the centre followed none of it
     """
     center, normal = start
-    beyond = (-0.0, -0.0, -0.0)
-    strays = not can_follow(body, radius, start, rolled.center)
+    unfollowed = (-0.0, -0.0, -0.0)
+    lacks_roll = not can_follow(body, radius, start, rolled.center)
     if method is None:
-        return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if strays else rolled, beyond, strays
-    strays = strays or not rolled.is_complete or does_slide_round_hollow(body, radius, center, normal, rolled.theta)
-    if strays:  # the roll winds up the coupling in the tangent plane, and friction decides where the centre moves
+        return Roll(center, normal, ZERO, 0.0, rolled.spin, True) if lacks_roll else rolled, unfollowed, lacks_roll
+    slides = does_slide_round_hollow(body, radius, center, normal, rolled.theta)
+    if lacks_roll or slides or not rolled.is_complete:
+        # The roll winds up the coupling in the tangent plane, and friction decides where the centre moves.
+        lacks_roll = True
         theta, axis = rotations.tilt(turn, normal)
-        beyond = vec3.scale(radius * theta, vec3.cross(axis, normal))
-        rolled = Roll(center, normal, beyond, theta, rotations.twist(turn, normal), rolled.is_complete)
+        unfollowed = vec3.scale(radius * theta, vec3.cross(axis, normal))
+        rolled = Roll(center, normal, unfollowed, theta, rotations.twist(turn, normal), rolled.is_complete)
     elif is_hollow(body.shape):
         # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
         tangential_before = vec3.reject(vec3.sub(center, position), normal)
         tangential_after = vec3.reject(vec3.sub(rolled.center, position), rolled.normal)
         motion = vec3.sub(tangential_after, transport(body.shape, tangential_before, normal, rolled.normal))
         rolled = Roll(rolled.center, rolled.normal, motion, rolled.theta, rolled.spin, True)
-    return rolled, beyond, strays
+    return rolled, unfollowed, lacks_roll
 
 
 @jit
@@ -56,12 +58,12 @@ def continue_contact(
     """Move the only contact with its object, and roll it by the fingertip's rotation relative to the object."""
     radius, position, last, body = finger.radius, probe.position, state.contacts[0], find_object(objects, index)
     carry = make_carry(body)
-    old_normal, moved = turn_direction(carry, last.normal), move_point(carry, state.center)
+    old_normal, carried_center = turn_direction(carry, last.normal), move_point(carry, state.center)
     turn = compute_relative_rotation(carry, rotations.relative(probe.orientation, state.probe.orientation))
-    rolled = roll_on(scene.rolling, body, radius, moved, old_normal, turn)
-    start = OffsetPoint(moved, old_normal)
+    rolled = roll_on(scene.rolling, body, radius, carried_center, old_normal, turn)
+    start = OffsetPoint(carried_center, old_normal)
     is_complete = rolled.is_complete
-    rolled, beyond, strays = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
+    rolled, unfollowed, lacks_roll = adjust_roll_in_hollow(scene.rolling, body, radius, position, start, turn, rolled)
     rolled, index = roll_over_edge(objects, scene.rolling, index, radius, start, rolled, turn)
     center, normal = rolled.center, rolled.normal
     rolled_part = transport(body.shape, turn_direction(carry, last.rolled_part), old_normal, normal)
@@ -73,15 +75,15 @@ def continue_contact(
         "deflection", old_deflection, "rolled_part", vec3.add(rolled_part, rolled.motion),
         "bend", turn_direction(carry, last.bend),
     )  # fmt: skip
-    deflection = vec3.add(vec3.sub(to_proxy, vec3.scale(depth, normal)), beyond)
+    deflection = vec3.add(vec3.sub(to_proxy, vec3.scale(depth, normal)), unfollowed)
     return Approach(
         start=state.center,
-        clear_center=moved,
+        clear_center=carried_center,
         center=center,
         active=make_single_constraint(index, normal, depth),
         predicted=first_of(state.contacts, Prediction(contact, deflection, rolled.spin, False), NO_PREDICTION),
         rolled=state.rolled + rolled.theta,
-        center_lacks_roll=strays,
+        center_lacks_roll=lacks_roll,
         is_single=True,
         is_new=False,
         budget_exhausted=0.0 if is_complete else 1.0,

@@ -81,7 +81,7 @@ class FirstContact(NamedTuple):
 def place_above_probe(objects: Any, radius: float, position: Vec3, touch: Vec3, constraint: Constraint) -> Vec3:
     """Return the proxy (3,) m above the probe, at the depth along the normal, of a contact detected at `touch` (3,) m.
 
-    If `follows` is False for that position, return `touch`.
+    If the proxy cannot roll to that position (`can_follow`), return `touch`.
     """
     body = find_object(objects, constraint.object_index)
     above_probe = vec3.add(position, vec3.scale(constraint.depth, constraint.normal))
@@ -104,20 +104,20 @@ def is_outside(objects: Any, radius: float, start: Vec3, position: Vec3, budget:
 
 @jit
 def refine_touch(
-    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, met: Vec3, near_mesh: bool, budget: int
+    objects: Any, index: float, start: Vec3, end: Vec3, radius: float, hit_center: Vec3, near_mesh: bool, budget: int
 ) -> tuple[Vec3, bool]:
-    """Return the position (3,) m on the path where object `index`, without the others, would be touched, and a flag.
+    """Return the position (3,) m on the path where object `index` would be touched if it were the only one, and a flag.
 
-    met        (3,) m  touch found by the search of all objects
-    near_mesh          True if a mesh may be touched on the path
+    hit_center  (3,) m  touch found by the search of all objects
+    near_mesh           True if a mesh may be touched on the path
 
     The flag is False if another object obstructs the path, or if this is unknown. Near a mesh, one facet is
     swept: the search of a mesh moves in steps of its clearance, and may end a little before the touch.
     """
     if isinstance(objects, Single) and not isinstance(objects.search, FacetedSearch):
-        return met, True
+        return hit_center, True
     if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or not near_mesh:
-        return met, not is_mesh_at(objects, index)
+        return hit_center, not is_mesh_at(objects, index)
     body = find_object(objects, index)
     path_start = move_point(make_carry(body), start)
     share = travel(body.shape, into(body.pose, path_start), into(body.pose, end), radius, False)
@@ -135,27 +135,27 @@ def is_clear(objects: Any, radius: float, position: Vec3) -> bool:
     if isinstance(objects, Single) and isinstance(objects.search, SmoothSearch):
         return False
     touch = find_first_touch(objects, radius, position, QUEUE_SIZE)
-    is_known = touch.known if has_creases_near(objects) else touch.budget >= 0
+    is_known = touch.is_known if has_creases_near(objects) else touch.budget >= 0
     return is_known and touch.object_index < 0.0
 
 
 @jit
 def place_at_touch(
-    objects: Any, index: float, radius: float, start: Vec3, end: Vec3, met: Vec3, is_first: bool, budget: int
+    objects: Any, index: float, radius: float, start: Vec3, end: Vec3, hit_center: Vec3, is_first: bool, budget: int
 ) -> Touch:
-    """Return the fingertip in contact with object `index`, which the search hit at `met` (3,) m on the path.
+    """Return the fingertip in contact with object `index`, which the search hit at `hit_center` (3,) m on the path.
 
     is_first  True for the first pose, which has no path and may be inside the object
     """
-    gap, point, normal, budget = find_closest_within(objects, index, met, budget)
+    gap, point, normal, budget = find_closest_within(objects, index, hit_center, budget)
     center = vec3.add_scaled(point, radius, normal)
     reach = radius + vec3.norm(vec3.sub(end, start))
     near_mesh = is_mesh_at(objects, index) or is_near_mesh(objects, end, reach)
-    touch, is_path_clear = refine_touch(objects, index, start, end, radius, met, near_mesh, budget)
+    touch, is_path_clear = refine_touch(objects, index, start, end, radius, hit_center, near_mesh, budget)
     if near_mesh and not is_first:
         # Other facets may be equally near, or the search did not finish: on this one it might be inside another.
         if not is_path_clear:
-            return Touch(met, normal, False, True, budget)
+            return Touch(hit_center, normal, False, True, budget)
         _, point, normal, budget = find_closest_within(objects, index, touch, budget)
         return Touch(vec3.add_scaled(point, radius, normal), normal, True, True, budget)
     # The gap may be a bound, because the search of a height map did not finish, or another triangle is equally near.
@@ -165,7 +165,7 @@ def place_at_touch(
         if is_first:
             center, is_known = raise_outside(objects, index, radius, center, normal)
         else:
-            center = met
+            center = hit_center
     return Touch(center, normal, is_path_clear, is_known, budget)
 
 
@@ -184,16 +184,16 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
     remaining, nothing = budget, make_single_constraint(NONE, (0.0, 0.0, 1.0), 0.0)
     unknown = FirstContact(start, position, position, nothing, False, NO_BUDGET)
     if is_first:
-        index, known, remaining = find_first_touch(objects, radius, position, remaining)
-        if not known:
+        index, is_known, remaining = find_first_touch(objects, radius, position, remaining)
+        if not is_known:
             return unknown
-        met = position
+        hit_center = position
     else:
         start = state.center
-        index, met, remaining = find_first_hit(objects, start, position, radius, False, NO_OBJECTS, remaining)
+        index, hit_center, remaining = find_first_hit(objects, start, position, radius, False, NO_OBJECTS, remaining)
     active, center, is_above_probe = nothing, position, False
     if index >= 0.0:
-        touch = place_at_touch(objects, index, radius, start, position, met, is_first, remaining)
+        touch = place_at_touch(objects, index, radius, start, position, hit_center, is_first, remaining)
         if not touch.is_known:
             return unknown
         remaining = touch.budget
@@ -205,7 +205,7 @@ def detect_among_several(finger: Finger, objects: Any, state: FingerState, posit
             center, is_above_probe = touch.center, touch.is_path_clear
     proxy = place_above_probe(objects, radius, position, center, active[0]) if is_above_probe else center
     if has_creases and len(state.contacts) > 1 and not is_first and active[0].object_index >= 0.0:
-        center = met  # the gap is only a bound if the search of a height map did not finish
+        center = hit_center  # the gap is only a bound if the search of a height map did not finish
     if not has_moving_object(objects):
         start = center
     # Without a height map, the search of the path does not reduce the budget of the rest position: see `BUDGET`.

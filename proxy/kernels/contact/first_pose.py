@@ -29,12 +29,12 @@ class FirstTouch(NamedTuple):
     """Object touched by the first pose.
 
     object_index  -1 for none
-    known         False if the search did not finish
+    is_known      False if the search did not finish
     budget        remaining budget, below 0 if it was exhausted
     """
 
     object_index: float
-    known: bool
+    is_known: bool
     budget: int
 
 

@@ -38,10 +38,21 @@ class Landing(NamedTuple):
 
 
 @jit
+def does_move(approach: Approach, forces: ContactForces) -> bool:
+    """Return True if friction moves the proxy of a single contact: by a slip, or by a roll not yet in its position."""
+    friction = forces.result
+    return (
+        friction.mode == SLIDING
+        or friction.deflection != approach.predicted[0].deflection
+        or approach.center_lacks_roll
+    )
+
+
+@jit
 def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: ContactForces, position: Vec3) -> Landing:
     """Move the proxy with a slip over the only object; it does not move if it sticks."""
-    friction, predicted, constraint = forces.result, approach.predicted[0], approach.active[0]
-    if friction.mode != SLIDING and friction.deflection == predicted.deflection and not approach.center_lacks_roll:
+    constraint = approach.active[0]
+    if not does_move(approach, forces):
         return Landing(approach.center, approach.active, 0.0)
     center, active, budget_exhausted = settle_on_one(
         shapes,
@@ -49,7 +60,7 @@ def land_on_one(finger: Finger, shapes: Any, approach: Approach, forces: Contact
         finger.radius,
         position,
         approach.center,
-        friction.deflection,
+        forces.result.deflection,
         constraint.normal,
     )
     return Landing(center, active, budget_exhausted)
@@ -87,12 +98,12 @@ def make_outcome_of_one(
         ease = load.size / forces.load
         tangential, moment = vec3.scale(ease, tangential), ease * ease * moment
         bending = vec3.scale(ease * ease, bending)
-    pressing = vec3.scale(load.size, load.along)
-    torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    pressing = vec3.scale(load.size, load.direction)
+    torque = compute_torque(finger, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
     outcome = ContactOutcome(
         object=ground.scene_index,
-        point=find_contact_point(finger.form, finger.radius, probe.orientation, landing.center, normal),
+        point=find_contact_point(finger, probe.orientation, landing.center, normal),
         normal=normal,
         force=vec3.add(pressing, tangential),
         mode=friction.mode,
@@ -111,7 +122,7 @@ def make_outcome_of_one(
         trailing_force=NO_FORCE,
         torque=torque,
         torsion=moment,
-        radius=forces.area.radius,
+        radius=forces.patch.radius,
         is_late=budget_exhausted > 0.0,
         budget=budget_exhausted,
     )

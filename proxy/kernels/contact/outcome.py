@@ -84,7 +84,7 @@ def end_contact_tick(
         penetration=depth,
         point=first.point,
         normal=first.normal,
-        finger_point=find_finger_point(finger.form, finger.radius, inward),
+        finger_point=find_finger_point(finger, inward),
         rolled=approach.rolled,
         spin=first.spin,
         normal_force=outcome.normal_force,

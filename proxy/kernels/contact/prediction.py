@@ -7,13 +7,13 @@ all contacts stick, c is at rest on its objects, and the tangent planes there do
 from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach
-from softfinger.proxy.kernels.contact.contact_friction import Prediction, ProbeMotion
+from softfinger.proxy.kernels.contact.contact_friction import Prediction
 from softfinger.proxy.kernels.contact.hand_over import Contacts, find_contact, hand_over
 from softfinger.proxy.kernels.contact.rest.cutting_planes import solve_tangent_planes
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import map_each, replace
-from softfinger.proxy.kernels.model import Constraint, ContactState, FingerState, Quaternion, Scene, Vec3
+from softfinger.proxy.kernels.model import Constraint, ContactState, FingerState, ProbeMotion, Quaternion, Scene, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.carry import compute_relative_rotation, find_carry, move_point, turn_direction

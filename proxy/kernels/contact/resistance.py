@@ -1,6 +1,6 @@
 """Rolling resistance: a soft finger recovers less work at the rear of a rolling contact than it spends at the front.
 
-    resist(patch, carried, bent, probe, last, area) -> Resistance
+    resist(finger, carry, contact, is_new, motion, patch) -> Resistance
 
 `contact_friction` calls it for each contact.
 """
@@ -10,22 +10,9 @@ from typing import Any, NamedTuple
 
 from softfinger.proxy.kernels.friction.contact_patch import MIN_SHARE, MIN_STIFFNESS, ContactPatch
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import ZERO, Probe, Vec3
+from softfinger.proxy.kernels.model import ZERO, ContactState, Finger, ProbeMotion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.carry import compute_relative_rotation
-
-
-class ResistanceInput(NamedTuple):
-    """Contact input of the rolling resistance: see `ContactState` for the names.
-
-    bend    moved with the object
-    is_new  True at a first touch: nothing has rolled
-    """
-
-    normal: Vec3
-    share: float
-    bend: Vec3
-    is_new: bool
 
 
 class Resistance(NamedTuple):
@@ -40,39 +27,29 @@ NO_RESISTANCE = Resistance(ZERO, (-0.0, -0.0, -0.0))
 
 
 @jit
-def resist(patch: Any, carry: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch) -> Resistance:
-    """Return the Resistance after the fingertip's rotation relative to the object since the `last` probe.
-
-    Only the rotation about an axis in the tangent plane counts.
-    """
-    if patch is None:
-        return NO_RESISTANCE
-    return resist_by_loss(patch.rolling, carry, bent, probe, last, area)
-
-
-@jit
-def resist_by_loss(
-    rolling: Any, carry: Any, bent: ResistanceInput, probe: Probe, last: Probe, area: ContactPatch
+def resist(
+    finger: Finger, carry: Any, contact: ContactState, is_new: bool, motion: ProbeMotion, patch: ContactPatch
 ) -> Resistance:
-    """Return `resist` for a patch with `rolling`, a RollingLoss or None.
+    """Return the Resistance after the fingertip's rotation relative to the object since the last tick.
 
-    A spring acts against the roll; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
+    Only the rotation about an axis in the tangent plane counts, and none at a first touch (`is_new`). A spring acts
+    against it; its anchor slips at 3/16 alpha a f_N, alpha the fraction of the work lost.
 
     Source of the moment: Greenwood, Minshall, Tabor (1961); Johnson (1985), section 9.1. The spring is not from these
     sources. It stops a finger at rest, and reaches the limit after rolling by the patch's radius.
     """
-    if rolling is None:
+    if finger.patch is None or finger.patch.rolling is None:
         return NO_RESISTANCE
     roll = ZERO
-    if not bent.is_new:
-        turn = rotations.relative(probe.orientation, last.orientation)
-        theta, axis = rotations.tilt(compute_relative_rotation(carry, turn), bent.normal)
+    if not is_new:
+        turn = rotations.relative(motion.probe.orientation, motion.last.orientation)
+        theta, axis = rotations.tilt(compute_relative_rotation(carry, turn), contact.normal)
         roll = vec3.scale(theta, axis)
-    stiffness = max(rolling.share * area.bending, MIN_STIFFNESS)
+    stiffness = max(finger.patch.rolling.share * patch.bending, MIN_STIFFNESS)
     # The energy of the wind-up is constant while load and share change, see `compute_winding_unit`.
-    unit = sqrt(stiffness / max(bent.share, MIN_SHARE))
-    angle = vec3.add(vec3.scale(1.0 / unit, vec3.reject(bent.bend, bent.normal)), roll)
+    unit = sqrt(stiffness / max(contact.share, MIN_SHARE))
+    angle = vec3.add(vec3.scale(1.0 / unit, vec3.reject(contact.bend, contact.normal)), roll)
     size = vec3.norm(angle)
-    if size > area.bend_max:
-        angle = vec3.scale(area.bend_max / size, angle)
+    if size > patch.bend_max:
+        angle = vec3.scale(patch.bend_max / size, angle)
     return Resistance(vec3.scale(unit, angle), vec3.scale(-stiffness, angle))

@@ -11,13 +11,12 @@ from softfinger.proxy.kernels.contact.approach import NO_PREDICTION, Approach, h
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     Prediction,
-    ProbeMotion,
     apply_friction,
     find_textured_ground,
 )
 from softfinger.proxy.kernels.contact.continuation import continue_contact
 from softfinger.proxy.kernels.contact.detection import detect_contact
-from softfinger.proxy.kernels.contact.one_contact import Landing
+from softfinger.proxy.kernels.contact.one_contact import Landing, does_move
 from softfinger.proxy.kernels.contact.prediction import continue_several
 from softfinger.proxy.kernels.contact.rest.active_set import make_single_constraint
 from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP
@@ -36,6 +35,7 @@ from softfinger.proxy.kernels.model import (
     FingerState,
     FrictionResult,
     Probe,
+    ProbeMotion,
     Scene,
     SmoothSearch,
     Vec3,
@@ -47,15 +47,15 @@ from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_creas
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest_of_others
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
-from softfinger.proxy.kernels.shapes.protocol import direction
-from softfinger.proxy.record import CAUSE_NONE, FREE, SLIDING
+from softfinger.proxy.kernels.shapes.protocol import compute_direction
+from softfinger.proxy.record import CAUSE_NONE, FREE
 
 NO_FORCES = ContactForces(
     result=FrictionResult(
         mode=float(FREE), cause=float(CAUSE_NONE), deflection=ZERO, rolled_part=ZERO, slip_speed=0.0,
         slip_deflection=0.0, spin=0.0, spin_slip_speed=0.0, spin_slip_angle=0.0, force=ZERO, moment=0.0,
     ),
-    area=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
+    patch=NO_PATCH, unit=1.0, load=0.0, bend=ZERO, bending=ZERO,
 )  # fmt: skip
 """Forces of an unused contact."""
 
@@ -114,12 +114,12 @@ def is_clear_of_others(
 
 @jit
 def crosses_seam(objects: Any, radius: float, before: Vec3, center: Vec3, index: float, budget: int) -> bool:
-    """Return True if another object is nearer than object `index` a little further on the path to `center` (3,) m.
+    """Return True if another object is closer than object `index` a little further on the path to `center` (3,) m.
 
     The proxy is then at the edge of the first of two flush objects, or beyond it.
     """
-    _, along = direction(vec3.sub(center, before), ZERO)
-    further = vec3.add_scaled(center, SEAM_DISTANCE * radius, along)
+    _, heading = compute_direction(vec3.sub(center, before), ZERO)
+    further = vec3.add_scaled(center, SEAM_DISTANCE * radius, heading)
     own_gap, _, _, _ = find_closest_within(objects, index, further, budget)
     gap, _, budget = find_deepest_of_others(objects, further, own_gap, index, budget)
     return budget < 0 or gap < own_gap - INSIDE_TOLERANCE * radius
@@ -162,7 +162,7 @@ def apply_friction_of_contact(
     if contact.object_index < 0.0 or contact.share <= 0.0:
         return NO_FORCES
     ground = find_textured_ground(objects, contact.object_index, approach.active, approach.center)
-    return apply_friction(finger, objects, ground, predicted, contact.share, motion)
+    return apply_friction(finger, objects, ground, predicted, motion)
 
 
 @jit
@@ -183,16 +183,12 @@ def land_among_several(
 ) -> tuple[Landing, bool]:
     """Return the proxy of the only contact after friction, and True if it is clear of all other objects."""
     center, active, budget_exhausted, at_rest = approach.center, approach.active, 0.0, True
-    constraint, radius, friction = active[0], finger.radius, forces.result
+    constraint, radius = active[0], finger.radius
     if not approach.is_single:
         return Landing(center, active, budget_exhausted), False
-    if (
-        friction.mode == SLIDING
-        or friction.deflection != approach.predicted[0].deflection
-        or approach.center_lacks_roll
-    ):
+    if does_move(approach, forces):
         center, active, budget_exhausted, at_rest = follow_slip(
-            objects, constraint.object_index, radius, position, center, friction.deflection, constraint.normal
+            objects, constraint.object_index, radius, position, center, forces.result.deflection, constraint.normal
         )
     if not at_rest or (
         is_mesh_at(objects, constraint.object_index) and not is_safe_step(approach.clear_center, center, radius)

@@ -9,7 +9,6 @@ from softfinger.proxy.kernels.contact.approach import Approach
 from softfinger.proxy.kernels.contact.contact_friction import (
     ContactForces,
     NormalForce,
-    ProbeMotion,
     compute_load,
     find_ground,
     find_textured_ground,
@@ -34,6 +33,7 @@ from softfinger.proxy.kernels.model import (
     ContactState,
     Finger,
     Probe,
+    ProbeMotion,
     Vec3,
 )
 from softfinger.proxy.kernels.model.vectors import ZERO
@@ -82,46 +82,46 @@ def compute_load_of_constraint(
 
 
 @jit
-def compute_remaining_share(giver: ContactState, after: Contacts) -> float:
+def compute_remaining_share(source: ContactState, after: Contacts) -> float:
     """Return the fraction of its load share that a contact still has after this tick."""
-    if giver.object_index < 0.0 or giver.share <= 0.0:
+    if source.object_index < 0.0 or source.share <= 0.0:
         return 1.0
-    return min(find_contact(giver, after).share / giver.share, 1.0)
+    return min(find_contact(source, after).share / source.share, 1.0)
 
 
 @jit
 def add_part_of(
     friction: FrictionShare,
-    giver: ContactState,
+    source: ContactState,
     forces: ContactForces,
     remainder: float,
     gain: float,
     constraint: Constraint,
 ) -> FrictionShare:
-    """Add a part of the friction of the contact `giver`, projected onto the tangent plane of a constraint.
+    """Add a part of the friction of the contact `source`, projected onto the tangent plane of a constraint.
 
     gain  fraction of the lost load shares that the constraint receives
     """
     normal = constraint.normal
-    weight = remainder if giver.object_index == constraint.object_index else (1.0 - remainder) * gain
-    if weight <= 0.0 or giver.object_index < 0.0 or giver.share <= 0.0:
+    weight = remainder if source.object_index == constraint.object_index else (1.0 - remainder) * gain
+    if weight <= 0.0 or source.object_index < 0.0 or source.share <= 0.0:
         return friction
     return FrictionShare(
         vec3.add_scaled(friction.force, weight, vec3.reject(forces.result.force, normal)),
-        friction.moment + weight * vec3.dot(giver.normal, normal) * forces.result.moment,
+        friction.moment + weight * vec3.dot(source.normal, normal) * forces.result.moment,
         vec3.add_scaled(friction.bending, weight, forces.bending),
     )
 
 
 @jit
 def collect_friction(
-    constraint: Constraint, givers: Contacts, forces: Any, remainders: Vec3, lost: float, after: Contacts
+    constraint: Constraint, sources: Contacts, forces: Any, remainders: Vec3, lost: float, after: Contacts
 ) -> FrictionShare:
     """Return the friction of a constraint: the remainder of its contact, and its part of the loss of other contacts.
 
     The parts follow the load shares as in `hand_over`, so the sum is the force of the spring from probe to proxy.
 
-    givers      predicted contacts
+    sources     predicted contacts
     remainders  fraction of its load share that each of them retains
     lost        sum of the lost shares
     """
@@ -130,11 +130,11 @@ def collect_friction(
         return result
     gain = 0.0
     if lost > 0.0:
-        previous = find_contact(constraint, givers)
+        previous = find_contact(constraint, sources)
         gain = max(find_contact(constraint, after).share - previous.share, 0.0) / lost
-    result = add_part_of(result, givers[0], forces[0], remainders[0], gain, constraint)
-    result = add_part_of(result, givers[1], forces[1], remainders[1], gain, constraint)
-    return add_part_of(result, givers[2], forces[2], remainders[2], gain, constraint)
+    result = add_part_of(result, sources[0], forces[0], remainders[0], gain, constraint)
+    result = add_part_of(result, sources[1], forces[1], remainders[1], gain, constraint)
+    return add_part_of(result, sources[2], forces[2], remainders[2], gain, constraint)
 
 
 @jit
@@ -148,14 +148,14 @@ def compute_wrench_share(
     normal = constraint.normal
     ground = find_textured_ground(objects, constraint.object_index, settled.active, settled.center)
     contact = find_contact(constraint, settled.contacts)
-    pressing = vec3.scale(load.size, load.along)
+    pressing = vec3.scale(load.size, load.direction)
     # The limit of the torsional moment grows by up to f_N^(4/3).
     moment, bending = scale * scale * friction.moment, vec3.scale(scale * scale, friction.bending)
     law = rotate_law(ground.material.friction, ground.orientation)
     tangential = limit_to_cone(law, normal, vec3.scale(scale, friction.force), load.size, contact.slip_speed)
-    torque = compute_torque(finger.form, finger.radius, probe.orientation, normal, moment, pressing, tangential)
+    torque = compute_torque(finger, probe.orientation, normal, moment, pressing, tangential)
     torque = vec3.add(torque, bending)
-    curvature_radius = compute_radius_of_curvature(finger.form, finger.radius, probe.orientation, normal)
+    curvature_radius = compute_radius_of_curvature(finger, probe.orientation, normal)
     area = compute_contact_patch(finger.patch, curvature_radius, ground.material.compliance, load.size)
     return Share(
         pressing,
@@ -165,7 +165,7 @@ def compute_wrench_share(
         area.radius,
         ContactOutcome(
             object=ground.scene_index,
-            point=find_contact_point(finger.form, finger.radius, probe.orientation, settled.center, normal),
+            point=find_contact_point(finger, probe.orientation, settled.center, normal),
             normal=normal,
             force=vec3.add(pressing, tangential),
             mode=contact.mode,
@@ -186,11 +186,11 @@ def make_outcome_of_several(
     load = loads[0].size + loads[1].size + loads[2].size
     friction_load = forces[0].load + forces[1].load + forces[2].load
     scale = load / friction_load if friction_load > load else 1.0
-    givers = field_of_each(approach.predicted, "contact")
-    remainders = map_each(compute_remaining_share, (givers,), settled.contacts)
-    lost = (1.0 - remainders[0]) * givers[0].share + (1.0 - remainders[1]) * givers[1].share
-    lost += (1.0 - remainders[2]) * givers[2].share
-    friction = map_each(collect_friction, (active,), givers, forces, remainders, lost, settled.contacts)
+    sources = field_of_each(approach.predicted, "contact")
+    remainders = map_each(compute_remaining_share, (sources,), settled.contacts)
+    lost = (1.0 - remainders[0]) * sources[0].share + (1.0 - remainders[1]) * sources[1].share
+    lost += (1.0 - remainders[2]) * sources[2].share
+    friction = map_each(collect_friction, (active,), sources, forces, remainders, lost, settled.contacts)
     shares = map_each(compute_wrench_share, (active, loads, friction), finger, objects, probe, settled, scale)
     one, two, three = shares
     pressing = vec3.add(vec3.add(one.pressing, two.pressing), three.pressing)

@@ -8,8 +8,8 @@ path neither gains nor loses energy; damping also acts along m, and dissipates B
 Friction. The coefficients of the law and the torsional limit are multiplied by the texture's factor at the contact
 point.
 
-    apply_relief(texture, body, depth, normal, position)          -> d, m
-    apply_grip(texture, body, index, active, center)         -> body with the friction of its material there
+    apply_relief(body, depth, normal, position)  -> d, m
+    apply_grip(body, index, active, center)      -> body with the friction of its material under the proxy
 """
 
 from math import floor
@@ -22,7 +22,7 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import ActiveSet, Texture, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into, turn_out_of
-from softfinger.proxy.kernels.numerics.scalars import clamp
+from softfinger.proxy.kernels.numerics.scalars import clamp, compute_spline_weights, weigh
 from softfinger.proxy.kernels.shapes.charts import Chart, chart
 from softfinger.proxy.kernels.shapes.composite import shade_normal
 
@@ -36,16 +36,6 @@ class TextureSample(NamedTuple):
     value: float
     by_u: float
     by_v: float
-
-
-@jit
-def compute_spline_weights(t: float) -> tuple[tuple[float, float, float, float], tuple[float, float, float, float]]:
-    """Return a uniform cubic B-spline's weights of four neighbours, at 0 <= t <= 1 between the middle two, and d/dt."""
-    s = 1.0 - t
-    tt, ss = t * t, s * s
-    value = (ss * s / 6.0, (4.0 - 3.0 * tt * (2.0 - t)) / 6.0, (4.0 - 3.0 * ss * (2.0 - s)) / 6.0, tt * t / 6.0)
-    slope = (-0.5 * ss, (1.5 * t - 2.0) * t, (2.0 - 1.5 * s) * s, 0.5 * tt)
-    return value, slope
 
 
 @jit
@@ -64,18 +54,17 @@ def sum_line(texture: Texture, row: float, columns: Any, weight: Any, slope: Any
     start = wrap_index(row, texture.rows, texture.period_v) * int(texture.columns)
     z0, z1 = texture.values[start + columns[0]], texture.values[start + columns[1]]
     z2, z3 = texture.values[start + columns[2]], texture.values[start + columns[3]]
-    value = weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
-    return value, slope[0] * z0 + slope[1] * z1 + slope[2] * z2 + slope[3] * z3
+    return weigh(weight, z0, z1, z2, z3), weigh(slope, z0, z1, z2, z3)
 
 
 @jit
 def sample(texture: Texture, u: float, v: float) -> TextureSample:
     """Return the spline at u, v (m); its coefficients are at the centres of the array's cells."""
-    across = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
-    down = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
-    left, top = floor(across), floor(down)
-    a, da = compute_spline_weights(across - left)
-    b, db = compute_spline_weights(down - top)
+    column = clamp(u * texture.per_u, CELLS_CEILING) + 0.5 * (texture.columns - 1.0)
+    row = clamp(v * texture.per_v, CELLS_CEILING) + 0.5 * (texture.rows - 1.0)
+    left, top = floor(column), floor(row)
+    a, da, _ = compute_spline_weights(column - left)
+    b, db, _ = compute_spline_weights(row - top)
     i0 = wrap_index(left - 1.0, texture.columns, texture.period_u)
     i1 = wrap_index(left, texture.columns, texture.period_u)
     i2 = wrap_index(left + 1.0, texture.columns, texture.period_u)
@@ -85,10 +74,8 @@ def sample(texture: Texture, u: float, v: float) -> TextureSample:
     z1, d1 = sum_line(texture, top, columns, a, da)
     z2, d2 = sum_line(texture, top + 1.0, columns, a, da)
     z3, d3 = sum_line(texture, top + 2.0, columns, a, da)
-    value = b[0] * z0 + b[1] * z1 + b[2] * z2 + b[3] * z3
-    by_v = db[0] * z0 + db[1] * z1 + db[2] * z2 + db[3] * z3
-    by_u = b[0] * d0 + b[1] * d1 + b[2] * d2 + b[3] * d3
-    return TextureSample(value, by_u * texture.per_u, by_v * texture.per_v)
+    by_u, by_v = weigh(b, d0, d1, d2, d3), weigh(db, z0, z1, z2, z3)
+    return TextureSample(weigh(b, z0, z1, z2, z3), by_u * texture.per_u, by_v * texture.per_v)
 
 
 @jit
@@ -101,52 +88,41 @@ def compute_chart(body: Any, x: Vec3, normal: Vec3) -> Chart:
 
 
 @jit
-def apply_relief(texture: Any, body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
-    """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy."""
-    if texture is None or texture.columns == 0.0:  # no texture, in a scene with textured objects
+def apply_relief(body: Any, depth: float, normal: Vec3, position: Vec3) -> tuple[float, Vec3]:
+    """Return the surface depth d (m) and m (3,) on one object; the probe at `position` is `depth` behind the proxy.
+
+    The height is h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`.
+    """
+    if body.texture is None or body.texture.columns == 0.0:  # no texture, in a scene with textured objects
         return depth, shade_normal(body.shape, body.pose, normal, position)
-    return raise_by_relief(texture.relief, texture, body, depth, normal, position)
-
-
-@jit
-def raise_by_relief(
-    relief: Any, texture: Texture, body: Any, depth: float, normal: Vec3, position: Vec3
-) -> tuple[float, Vec3]:
-    """Add h = -H w (1 - z): z the texture's value, H its height, w the chart's `inside`."""
-    if relief is None:
+    if body.texture.relief is None:
         return depth, normal
-    at = compute_chart(body, position, normal)
-    z = sample(texture, at.u, at.v)
+    texture, relief = body.texture, body.texture.relief
+    place = compute_chart(body, position, normal)
+    z = sample(texture, place.u, place.v)
     drop = relief.height * (1.0 - z.value)
-    rise = vec3.add(vec3.scale(z.by_u, at.along_u), vec3.scale(z.by_v, at.along_v))
-    uphill = vec3.add_scaled(vec3.scale(relief.height * at.inside, rise), -drop, at.inward)
-    return depth - at.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
+    rise = vec3.add(vec3.scale(z.by_u, place.along_u), vec3.scale(z.by_v, place.along_v))
+    uphill = vec3.add_scaled(vec3.scale(relief.height * place.inside, rise), -drop, place.inward)
+    return depth - place.inside * drop, vec3.sub(normal, turn_out_of(body.pose, uphill))
 
 
 # --- friction ------------------------------------------------------------------------------------
 
 
 @jit
-def apply_grip(texture: Any, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
+def apply_grip(body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
     """Return object `index`; if it supports the proxy, with its friction under the proxy's `center` (3,) m."""
-    if texture is None:
+    if body.texture is None or body.texture.grip is None:
         return body
-    return scale_friction(texture.grip, texture, body, index, active, center)
-
-
-@jit
-def scale_friction(grip: Any, texture: Texture, body: Any, index: float, active: ActiveSet, center: Vec3) -> Any:
-    if grip is None:
-        return body
-    factor = 1.0
+    texture, grip, factor = body.texture, body.texture.grip, 1.0
     one, two, three = active
     if texture.columns != 0.0 and (
         index == one.object_index or index == two.object_index or index == three.object_index
     ):
         normal = one.normal if index == one.object_index else two.normal if index == two.object_index else three.normal
-        at = compute_chart(body, center, normal)
+        place = compute_chart(body, center, normal)
         # At an edge of the object, the texture fades to its highest value.
-        z = 1.0 - at.inside * (1.0 - sample(texture, at.u, at.v).value)
+        z = 1.0 - place.inside * (1.0 - sample(texture, place.u, place.v).value)
         factor = grip.low + (grip.high - grip.low) * z
     material = body.material
     friction, torsion = scale_law(material.friction, factor), scale_torsion(material.torsion, factor)

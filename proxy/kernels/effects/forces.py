@@ -2,7 +2,7 @@
 
     apply_effects(effects, states, situation) -> force, states     all effects of the workspace or of one object
     compute_effect(effect, state, situation)    -> force, state      one effect
-    reach(region, situation)                  -> 0 to 1            share of an effect at this position, in this tick
+    compute_share(region, situation)          -> 0 to 1            share of an effect at this position, in this tick
     start_states(effects)                     -> states            before the first tick; Python only
 
 An effect without memory has the state None. Without effects the tuple is empty, and no code is compiled. Finite input
@@ -82,7 +82,7 @@ def share_at(depth: float, edge: float) -> float:
 
 
 @jit
-def reach(region: Any, situation: Situation) -> float:
+def compute_share(region: Any, situation: Situation) -> float:
     if region is None:
         return 1.0
     if isinstance(region, TouchCondition):
@@ -114,12 +114,12 @@ def scale_clamped(s: float, v: Vec3) -> Vec3:
 @compute_effect.of(Viscosity)
 def apply_viscosity(effect: Viscosity, state: None, situation: Situation) -> tuple[Vec3, None]:
     """Return -B v, scaled by the region's share: it dissipates energy everywhere, also at the edge of the region."""
-    return scale_clamped(-reach(effect.region, situation) * effect.damping, situation.velocity), None
+    return scale_clamped(-compute_share(effect.region, situation) * effect.damping, situation.velocity), None
 
 
 @compute_effect.of(ConstantForce)
 def apply_constant_force(effect: ConstantForce, state: None, situation: Situation) -> tuple[Vec3, None]:
-    return scale_clamped(reach(effect.region, situation), effect.force), None
+    return scale_clamped(compute_share(effect.region, situation), effect.force), None
 
 
 @compute_effect.of(Spring)
@@ -130,7 +130,7 @@ def apply_spring(effect: Spring, state: None, situation: Situation) -> tuple[Vec
     if length < NO_LENGTH_M:
         return (0.0, 0.0, 0.0), None
     pull = clamp(effect.stiffness * (length - effect.rest_length), effect.force_max)
-    return scale_clamped(reach(effect.region, situation) * pull / length, towards), None
+    return scale_clamped(compute_share(effect.region, situation) * pull / length, towards), None
 
 
 @jit
@@ -173,28 +173,27 @@ def apply_sphere_boundary(effect: SphereBoundary, state: None, situation: Situat
 
 
 @jit
-def oscillate(amplitude: float, frequency: float, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
-    """Return the force (N) of a sine in this tick, and the phase of the next; a share of 0 resets the phase.
+def oscillate(effect: Any, share: float, state: Phase, dt: float) -> tuple[float, Phase]:
+    """Return the force (N) of a vibration in this tick, and the phase of the next; a share of 0 resets the phase.
 
     The phase is accumulated tick by tick, not computed from the time, so that a change of the frequency causes no jump
     of the force.
     """
     if share == 0.0:
         return 0.0, Phase(0.0)
-    force = share * amplitude * sin(2.0 * pi * state.turns)
-    return force, Phase(fraction(state.turns + fraction(frequency * dt)))
+    force = share * effect.amplitude * sin(2.0 * pi * state.turns)
+    return force, Phase(fraction(state.turns + fraction(effect.frequency * dt)))
 
 
 @compute_effect.of(Vibration)
 def apply_vibration(effect: Vibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
-    share = reach(effect.region, situation)
-    force, after = oscillate(effect.amplitude, effect.frequency, share, state, situation.dt)
+    force, after = oscillate(effect, compute_share(effect.region, situation), state, situation.dt)
     return scale_clamped(force, effect.direction), after
 
 
 @compute_effect.of(NormalVibration)
 def apply_normal_vibration(effect: NormalVibration, state: Phase, situation: Situation) -> tuple[Vec3, Phase]:
-    force, after = oscillate(effect.amplitude, effect.frequency, situation.touched, state, situation.dt)
+    force, after = oscillate(effect, situation.touched, state, situation.dt)
     return scale_clamped(force, situation.normal), after
 
 
@@ -215,7 +214,7 @@ def apply_magnet(effect: Magnet, state: None, situation: Situation) -> tuple[Vec
 
 
 @compute_effect.of(StickSlip)
-def stick_slip_force(effect: StickSlip, state: Anchor, situation: Situation) -> tuple[Vec3, Anchor]:
+def apply_stick_slip(effect: StickSlip, state: Anchor, situation: Situation) -> tuple[Vec3, Anchor]:
     """Return the force of a spring from the probe to an anchor on the object, along the surface.
 
     When the force would exceed `force_max`, the anchor jumps to the probe and the force is zero. Each jump loses the

@@ -16,12 +16,12 @@ Blocks = tuple[tuple[Mat3, Mat3], tuple[Mat3, Mat3]]
 @jit
 def add_block(m: Mat3, elastic: Elastic, a: int, b: int, weight: float) -> Mat3:
     """Return m plus the block of two nodes times `weight`."""
-    at = 9 * (a * int(elastic.node_count) + b)
+    first = 9 * (a * int(elastic.node_count) + b)
     c = elastic.compliance
     return (
-        (m[0][0] + weight * c[at], m[0][1] + weight * c[at + 1], m[0][2] + weight * c[at + 2]),
-        (m[1][0] + weight * c[at + 3], m[1][1] + weight * c[at + 4], m[1][2] + weight * c[at + 5]),
-        (m[2][0] + weight * c[at + 6], m[2][1] + weight * c[at + 7], m[2][2] + weight * c[at + 8]),
+        (m[0][0] + weight * c[first], m[0][1] + weight * c[first + 1], m[0][2] + weight * c[first + 2]),
+        (m[1][0] + weight * c[first + 3], m[1][1] + weight * c[first + 4], m[1][2] + weight * c[first + 5]),
+        (m[2][0] + weight * c[first + 6], m[2][1] + weight * c[first + 7], m[2][2] + weight * c[first + 8]),
     )
 
 
@@ -82,7 +82,7 @@ def compute_slope_by(first: Spot, second: Spot, rows: Any, back: Any) -> Mat3:
 def find_bending(elastic: Elastic, spot: Spot) -> tuple[float, float]:
     """Return the largest rotation, rad, and strain of the body under the load of a spot: an upper bound.
 
-    Those of the components of the load on each node are added, wherever in the body they are.
+    It adds the largest values due to each component of the load on each node, wherever in the body they are.
     """
     rotation, strain = 0.0, 0.0
     for i in range(3):
@@ -90,9 +90,9 @@ def find_bending(elastic: Elastic, spot: Spot) -> tuple[float, float]:
             continue
         for j in range(3):
             share = elastic.softness * spot.weights[i] * abs(spot.load[j])
-            at = 6 * spot.nodes[i] + 2 * j
-            rotation += share * elastic.bending[at]
-            strain += share * elastic.bending[at + 1]
+            first = 6 * spot.nodes[i] + 2 * j
+            rotation += share * elastic.bending[first]
+            strain += share * elastic.bending[first + 1]
     return rotation, strain
 
 

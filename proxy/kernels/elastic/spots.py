@@ -10,6 +10,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import mat3, vec3
 from softfinger.proxy.kernels.numerics.frames import into, turn_into
 from softfinger.proxy.kernels.numerics.mat3 import Mat3
@@ -28,19 +29,17 @@ LIMITED_SHARE = 1e-6
 DEPTH_STEP_M = 1e-7
 """Change of the depth by which the stiffness of the normal force is measured."""
 
-ZERO: Vec3 = (0.0, 0.0, 0.0)
-
 
 class Spot(NamedTuple):
     """Contact point on a facet, in the object frame.
 
-    nodes    of its corners, -1 at rigid vertices
-    weights  barycentric
-    slopes   gradients (3,) 1/m of the weights with the position of the probe; 0 while the contact sticks
-    load     (3,) N    on the object
-    spring   N/m       rows (3,) of the slope of the load with the position of the probe
-    excess   (3,) N    of the friction, on the finger, that the cone removes
-    stuck    N/m       `spring` without the cone
+    nodes    (3,)        of the facet's corners, -1 at rigid vertices
+    weights  (3,)        barycentric
+    slopes   (3, 3) 1/m  gradients of the weights with the position of the probe; 0 while the contact sticks
+    load     (3,) N      on the object
+    spring   (3, 3) N/m  slope of the load with the position of the probe
+    excess   (3,) N      friction on the finger that the cone removes
+    stuck    (3, 3) N/m  `spring` without the cone
     """
 
     nodes: tuple[int, int, int]
@@ -60,15 +59,7 @@ def make_empty_spot() -> Spot:
 
 @jit
 def make_unloaded_spot(nodes: tuple[int, int, int], weights: Vec3, slopes: Mat3) -> Spot:
-    return Spot(
-        nodes=nodes,
-        weights=weights,
-        slopes=slopes,
-        load=ZERO,
-        spring=mat3.ZEROS,
-        excess=ZERO,
-        stuck=mat3.ZEROS,
-    )
+    return Spot(nodes, weights, slopes, load=ZERO, spring=mat3.ZEROS, excess=ZERO, stuck=mat3.ZEROS)
 
 
 @jit
@@ -89,7 +80,7 @@ def make_spot(elastic: Elastic, body: Any, facet: float, point: Vec3, normal: Ve
     of_a = 1.0 - of_b - of_c
     to_a = vec3.scale(-1.0, vec3.add(to_b, to_c))
     lean = vec3.cross(n, vec3.scale(sqrt(square), up))
-    if vec3.dot(lean, lean) > EDGE_TILT_RAD**2:  # the point stays on the edge, or at the corner
+    if vec3.dot(lean, lean) > EDGE_TILT_RAD**2:  # it can move only along the edge; at a corner it cannot
         along, edges = ZERO, 0
         for weight, edge in ((of_a, vec3.sub(c, b)), (of_b, ac), (of_c, ab)):
             if weight < EDGE_WEIGHT:
@@ -117,8 +108,8 @@ def make_contact_spot(
 ) -> Spot:
     """Return the spot of the most loaded contact, with the load of all contacts of the finger.
 
-    last   before the tick, relative to the surface as `state` is
-    state  after it
+    last   state before the tick, relative to the surface
+    state  state after the tick, relative to the surface
     """
     spot = make_spot(elastic, body, state.contacts[0].object_index, contact.contacts[0].point, contact.normal)
     force = ZERO
@@ -128,8 +119,8 @@ def make_contact_spot(
     spot = replace(spot, "load", vec3.scale(-1.0, force))
     law, depth, out = body.material.normal, contact.penetration, vec3.dot(contact.velocity, contact.normal)
     faster = out - DEPTH_STEP_M / dt if dt > 0.0 else out
-    more = compute_normal_force(law, depth + DEPTH_STEP_M, faster) - compute_normal_force(law, depth, out)
-    stiffness, along, spring = more / DEPTH_STEP_M, n, mat3.ZEROS
+    added_force = compute_normal_force(law, depth + DEPTH_STEP_M, faster) - compute_normal_force(law, depth, out)
+    stiffness, along, spring = added_force / DEPTH_STEP_M, n, mat3.ZEROS
     tangent_projection = mat3.plus_outer(mat3.IDENTITY, vec3.scale(-1.0, n), n)
     drag = extract_friction(body.material.friction, force, n)
     size = vec3.norm(drag)
@@ -186,7 +177,7 @@ def is_slipping(last: FingerState, state: FingerState, dt: float) -> bool:
 
 
 @jit
-def hold_if_reversed(spot: Spot, error: Vec3) -> tuple[Spot, Vec3]:
+def stick_if_reversed(spot: Spot, error: Vec3) -> tuple[Spot, Vec3]:
     """Return the spot as if it stuck if a correction by `error` (3,) m ends its slip, and the load (3,) N this adds.
 
     The load of a slipping contact does not change along its slip. On a surface softer than the finger's spring, a
@@ -224,8 +215,8 @@ def find_spot(
 ) -> Spot:
     """Return the spot of a finger, with or without contact.
 
-    known  of the previous round of the tick: a finger without contact remains there. A search in each round costs more
-           than the step, and its result hardly changes.
+    known  spot of the previous round of the tick, which a finger without contact retains: a search in each round
+           costs more than the step, and its result hardly changes
     """
     if contact.mode != FREE:
         return make_contact_spot(elastic, objects.body, finger, last, after, contact, dt)

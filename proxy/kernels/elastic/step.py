@@ -5,8 +5,8 @@
 F is the step on the undeformed mesh, f_i the load of finger i at x_i, u_i the displacement there. So the finger's
 spring is in series with the surface, and friction, torsion and rolling act between the fingertip and the moving
 surface. Newton's method solves for u with the slopes of the load and of the contact point, at most MAX_RIGID_STEPS
-times. It begins at the solution of the last tick, corrected for the motion of the probes with the matrix of the last
-tick, and mostly ends after one more correction. Each round steps from the state of the last tick. If it does not
+times. Its first value is the solution of the last tick, corrected for the motion of the probes with the matrix of the
+last tick; mostly one more correction is enough. Each round steps from the state of the last tick. If it does not
 converge, the last round repeats the one with the least error, since any other may have the force of a rigid surface.
 
 Source of the method: James and Pai (2001). This module is imported for scenes with an elastic object only.
@@ -25,15 +25,20 @@ from softfinger.proxy.kernels.elastic.response import (
     multiply_both,
     read_compliance,
 )
-from softfinger.proxy.kernels.elastic.spots import ZERO, find_spot, hold_if_reversed, make_contact_spot, make_empty_spot
+from softfinger.proxy.kernels.elastic.spots import (
+    find_spot,
+    make_contact_spot,
+    make_empty_spot,
+    stick_if_reversed,
+)
 from softfinger.proxy.kernels.elastic.surfaces import (
     CORRECTION_ERROR_M,
-    drive_of,
-    expect,
+    compute_drive,
+    compute_gain,
     move_into_surface,
     place_probe,
+    predict_displacement,
     report_surface,
-    share_in_tick,
     shift_pose,
     update_surface,
 )
@@ -41,6 +46,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Scene, State, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import mat3, vec3
 from softfinger.proxy.kernels.numerics.mat3 import Mat3
 from softfinger.proxy.kernels.query.world import place_all
@@ -73,12 +79,12 @@ def press(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt
 @jit
 def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last, finger = scene.elastic, objects.body, state.world.surfaces[0], fingers[0]
-    gain = share_in_tick(elastic, dt)
-    motion, drive = drive_of(body, last, state.fingers[0], poses[0], gain)
+    gain = compute_gain(elastic, dt)
+    motion, drive = compute_drive(body, last, state.fingers[0], poses[0], gain)
     inverse = last.inverse[0]
     largest = vec3.norm(motion) + vec3.norm(last.change)
-    u = expect(last, vec3.sub(motion, mat3.times(inverse, drive)), largest)
-    rest = vec3.scale(1.0 - gain, last.displacement)
+    u = predict_displacement(last, vec3.sub(motion, mat3.times(inverse, drive)), largest)
+    retained = vec3.scale(1.0 - gain, last.displacement)
     before = move_into_surface(body, state.fingers[0], last.displacement)
     least, best = inf, u
     for rounds_left in range(MAX_RIGID_STEPS - 1, -1, -1):
@@ -87,7 +93,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if contact.mode != FREE:
             spot = make_contact_spot(elastic, body, finger, before, after, contact, dt)
         rows = compute_node_rows(elastic, spot, spot)
-        goal = vec3.add_scaled(rest, gain, mat3.times(read_compliance(spot, rows), spot.load))
+        goal = vec3.add_scaled(retained, gain, mat3.times(read_compliance(spot, rows), spot.load))
         error = vec3.sub(goal, u)
         square = vec3.dot(error, error)
         if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
@@ -97,7 +103,7 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if rounds_left == 1 and not square <= CORRECTION_ERROR_M**2:  # also NaN
             u = best
             continue
-        spot, added = hold_if_reversed(spot, error)
+        spot, added = stick_if_reversed(spot, error)
         error = vec3.add_scaled(error, gain, mat3.times(read_compliance(spot, rows), added))
         moves = mat3.plus(compute_slope(spot, spot, rows), 1.0, compute_slope_by(spot, spot, rows, rows))
         inverse = mat3.inverse(mat3.plus(mat3.IDENTITY, gain, moves))
@@ -105,9 +111,9 @@ def press_one(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     slope = ZERO
     # The slope is that of the surface without damping: otherwise slow cycles would generate energy.
     if body.material.friction is None:
-        at = compute_slope(spot, spot, rows)
-        matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, at), 1.0, compute_slope_by(spot, spot, rows, rows))
-        slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(at), spot.load))
+        gradient = compute_slope(spot, spot, rows)
+        matrix = mat3.plus(mat3.plus(mat3.IDENTITY, 1.0, gradient), 1.0, compute_slope_by(spot, spot, rows, rows))
+        slope = mat3.times(mat3.inverse(mat3.transpose(matrix)), mat3.times(mat3.transpose(gradient), spot.load))
     surface = update_surface(scene, finger, last, u, contact, (*find_bending(elastic, spot), square), dt)
     surface = replace(surface, "inverse", (mat3.IDENTITY if contact.mode == FREE else inverse,))
     return (place_probe(after, poses[0]),), (report_surface(body, contact, surface, slope),), (surface,)
@@ -127,14 +133,17 @@ def displace_both(compliances: tuple[Mat3, Mat3, Mat3], load_x: Vec3, load_y: Ve
 @jit
 def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any, dt: float) -> Any:
     elastic, body, last = scene.elastic, objects.body, state.world.surfaces
-    gain = share_in_tick(elastic, dt)
-    rest_u, rest_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
-    motion_u, drive_u = drive_of(body, last[0], state.fingers[0], poses[0], gain)
-    motion_v, drive_v = drive_of(body, last[1], state.fingers[1], poses[1], gain)
+    gain = compute_gain(elastic, dt)
+    retained_u, retained_v = vec3.scale(1.0 - gain, last[0].displacement), vec3.scale(1.0 - gain, last[1].displacement)
+    motion_u, drive_u = compute_drive(body, last[0], state.fingers[0], poses[0], gain)
+    motion_v, drive_v = compute_drive(body, last[1], state.fingers[1], poses[1], gain)
     inverse = (last[0].inverse, last[1].inverse)
     left_u, left_v = multiply_both(inverse, drive_u, drive_v)
     largest = vec3.norm(motion_u) + vec3.norm(motion_v) + vec3.norm(last[0].change) + vec3.norm(last[1].change)
-    u, v = expect(last[0], vec3.sub(motion_u, left_u), largest), expect(last[1], vec3.sub(motion_v, left_v), largest)
+    u, v = (
+        predict_displacement(last[0], vec3.sub(motion_u, left_u), largest),
+        predict_displacement(last[1], vec3.sub(motion_v, left_v), largest),
+    )
     before_one = move_into_surface(body, state.fingers[0], last[0].displacement)
     before_two = move_into_surface(body, state.fingers[1], last[1].displacement)
     x, y = make_empty_spot(), make_empty_spot()
@@ -151,8 +160,8 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         rows = compute_node_rows(elastic, x, x), compute_node_rows(elastic, x, y), compute_node_rows(elastic, y, y)
         compliances = read_compliance(x, rows[0]), read_compliance(x, rows[1]), read_compliance(y, rows[2])
         goal_u, goal_v = displace_both(compliances, x.load, y.load)
-        error_u = vec3.sub(vec3.add_scaled(rest_u, gain, goal_u), u)
-        error_v = vec3.sub(vec3.add_scaled(rest_v, gain, goal_v), v)
+        error_u = vec3.sub(vec3.add_scaled(retained_u, gain, goal_u), u)
+        error_v = vec3.sub(vec3.add_scaled(retained_v, gain, goal_v), v)
         square = vec3.dot(error_u, error_u) + vec3.dot(error_v, error_v)
         if rounds_left == 0 or square <= SOLVED_ERROR_M**2:
             break
@@ -161,8 +170,8 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
         if rounds_left == 1 and not square <= CORRECTION_ERROR_M**2:  # also NaN
             u, v = best
             continue
-        held_x, added_x = hold_if_reversed(x, error_u)
-        held_y, added_y = hold_if_reversed(y, error_v)
+        held_x, added_x = stick_if_reversed(x, error_u)
+        held_y, added_y = stick_if_reversed(y, error_v)
         more_u, more_v = displace_both(compliances, added_x, added_y)
         error_u, error_v = vec3.add_scaled(error_u, gain, more_u), vec3.add_scaled(error_v, gain, more_v)
         (a, b, c, d), _ = linearize_both(elastic, held_x, held_y, rows, gain)

@@ -3,11 +3,11 @@
 from math import pi
 from typing import Any
 
-from softfinger.proxy.kernels.elastic.spots import ZERO
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import Contact, Finger, FingerState, Pose, Probe, Scene, Vec3
 from softfinger.proxy.kernels.model.elastic import Elastic, Surface
+from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import turn_into, turn_out_of
 from softfinger.proxy.record import FREE, LARGE_DISPLACEMENT, LARGE_ROTATION, LARGE_STRAIN, UNSOLVED
@@ -17,7 +17,7 @@ CORRECTION_ERROR_M = 1e-6
 of the last round is reported as UNSOLVED."""
 ROTATION_MAX_RAD = 10.0 * pi / 180.0
 STRAIN_MAX = 0.1
-"""Rotation and strain above which the body is no longer linear."""
+"""Rotation and strain above which the linear solution is not valid."""
 
 
 @jit
@@ -41,7 +41,7 @@ def place_probe(state: FingerState, pose: Pose) -> FingerState:
 
 
 @jit
-def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
+def compute_drive(body: Any, last: Surface, state: FingerState, pose: Pose, gain: float) -> tuple[Vec3, Vec3]:
     """Return the motion (3,) m of the probe in this tick, and the motion (3,) m that changes the displacement.
 
     The second is the first without the part of the last change that a damped surface repeats independently of the
@@ -52,13 +52,13 @@ def drive_of(body: Any, last: Surface, state: FingerState, pose: Pose, gain: flo
 
 
 @jit
-def expect(last: Surface, change: Vec3, largest: float) -> Vec3:
+def predict_displacement(last: Surface, change: Vec3, largest: float) -> Vec3:
     """Return the displacement (3,) m after an expected change, unless this exceeds `largest`, m, or is not a number."""
     return vec3.add(last.displacement, change) if vec3.norm(change) <= largest else last.displacement
 
 
 @jit
-def share_in_tick(elastic: Elastic, dt: float) -> float:
+def compute_gain(elastic: Elastic, dt: float) -> float:
     """Return the share of the new displacement that the surface reaches in a tick: 1 without damping."""
     if elastic.damping == 0.0:
         return 1.0
@@ -74,45 +74,45 @@ def update_surface(
     measures  largest rotation, rad, and strain of the body, and squared error of the displacement, m^2
     """
     elastic, body, rate = scene.elastic, scene.objects.body, last.rate
-    moved = vec3.sub(displacement, last.displacement)
+    change = vec3.sub(displacement, last.displacement)
     if dt > 0.0:
         gain = 1.0 / (finger.velocity_time_constant + dt)
-        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, moved)
-    beyond = 0.0
+        rate = vec3.add_scaled(vec3.scale_and_flush(finger.velocity_time_constant * gain, last.rate), gain, change)
+    nonlinear = 0.0
     if vec3.dot(displacement, displacement) > elastic.large * elastic.large:
-        beyond += LARGE_DISPLACEMENT
+        nonlinear += LARGE_DISPLACEMENT
     if measures[0] > ROTATION_MAX_RAD:
-        beyond += LARGE_ROTATION
+        nonlinear += LARGE_ROTATION
     if measures[1] > STRAIN_MAX:
-        beyond += LARGE_STRAIN
+        nonlinear += LARGE_STRAIN
     if not measures[2] <= CORRECTION_ERROR_M**2:  # also NaN
-        beyond += UNSOLVED
+        nonlinear += UNSOLVED
     if contact.mode == FREE:
-        return Surface(displacement, moved, last.inverse, rate, ZERO, 0.0)
-    return Surface(displacement, moved, last.inverse, rate, turn_out_of(body.pose, displacement), beyond)
+        return Surface(displacement, change, last.inverse, rate, ZERO, 0.0)
+    return Surface(displacement, change, last.inverse, rate, turn_out_of(body.pose, displacement), nonlinear)
 
 
 @jit
 def report_surface(body: Any, contact: Contact, surface: Surface, slope: Vec3) -> Contact:
     """Return the contact at its place on the deformed surface, with the force `slope` (3,) N, object frame, added.
 
-    slope  part of the force that comes from the slope of the deformed surface. A contact without friction conserves
+    slope  part of the force due to the slope of the deformed surface. A contact without friction conserves
            energy only with it. A contact with friction has none: it dissipates more than a slope below the coefficient
            of friction returns.
     """
-    moved, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
+    shift, rate = turn_out_of(body.pose, surface.displacement), turn_out_of(body.pose, surface.rate)
     if contact.mode == FREE:
-        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, moved))
+        return replace(contact, "velocity", vec3.add(contact.velocity, rate), "center", vec3.add(contact.center, shift))
     force = turn_out_of(body.pose, slope)
     one, two, three = contact.contacts
-    one = replace(one, "point", vec3.add(one.point, moved), "force", vec3.add(one.force, force))
-    two = replace(two, "point", vec3.add(two.point, moved))
-    three = replace(three, "point", vec3.add(three.point, moved))
+    one = replace(one, "point", vec3.add(one.point, shift), "force", vec3.add(one.force, force))
+    two = replace(two, "point", vec3.add(two.point, shift))
+    three = replace(three, "point", vec3.add(three.point, shift))
     return replace(
         contact,
         "velocity", vec3.add(contact.velocity, rate),
-        "center", vec3.add(contact.center, moved),
-        "point", vec3.add(contact.point, moved),
+        "center", vec3.add(contact.center, shift),
+        "point", vec3.add(contact.point, shift),
         "force", vec3.add(contact.force, force),
         "contacts", (one, two, three),
     )  # fmt: skip

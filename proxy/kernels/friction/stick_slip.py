@@ -12,7 +12,7 @@ from typing import Any
 from softfinger.proxy.kernels.friction.laws import compute_cone, find_viscosity, measure_load, remove_direction
 from softfinger.proxy.kernels.friction.limit_surface import compute_room
 from softfinger.proxy.kernels.friction.stick_slip_of_paper import stick_slip_by_equations
-from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
+from softfinger.proxy.kernels.friction.torsion import wind_up
 from softfinger.proxy.kernels.friction.viscous_slip import SLIP_TIME_CONSTANT_S, slide_by_viscosity
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction, Vec3
@@ -45,12 +45,11 @@ def stick_slip(
 def slide_freely(torsion: Any, coupling: Coupling, inputs: FrictionInput) -> FrictionResult:
     """Resolve only torsion: without friction the proxy has no deflection from the probe and does not stick."""
     zero = (0.0, 0.0, 0.0)
-    wind = wind_up(torsion, inputs.spin, inputs.twist, inputs)
+    wind = wind_up(torsion, coupling.torsional_damping, inputs.spin, inputs.twist, inputs)
     return FrictionResult(
         mode=float(SLIDING), cause=float(CAUSE_NONE), deflection=zero, rolled_part=zero, slip_speed=0.0,
         slip_deflection=0.0, spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle,
-        force=zero,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
+        force=zero, moment=wind.moment,
     )  # fmt: skip
 
 
@@ -192,10 +191,9 @@ def stick_slip_by_law(
         force = vec3.add_scaled(force, coupling.damping / inputs.dt, change)
     if mode == ROLLING or breaking != 0.0:
         force = limit_force(law, inputs.normal, force, whole_limit if breaking != 0.0 else static_limit)
-    wind = wind_up(torsion, spin, twist, inputs)
+    wind = wind_up(torsion, coupling.torsional_damping, spin, twist, inputs)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled_part, slip_speed=slip_speed,
         slip_deflection=slip_deflection, spin=wind.spin, spin_slip_speed=wind.slip_speed,
-        spin_slip_angle=wind.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
+        spin_slip_angle=wind.slip_angle, force=force, moment=wind.moment,
     )  # fmt: skip

@@ -7,7 +7,7 @@ The end of a contact is that of our contact model, not the paper's f_N = 0.
 
 from typing import Any
 
-from softfinger.proxy.kernels.friction.torsion import damp_moment, wind_up
+from softfinger.proxy.kernels.friction.torsion import wind_up
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Coupling, FrictionInput, FrictionResult, PaperFriction
 from softfinger.proxy.kernels.numerics import vec3
@@ -24,7 +24,7 @@ def stick_slip_by_equations(
     """Compute friction and torsion of one tick by the text of section 3.2.
 
     rolling to sliding   the tangential force of the hand, -K e, is outside the static cone and has the sign of the
-                         displacement P produced by rolling since rolling last began; or |P| / r > theta_max
+                         displacement P produced by rolling since the start of rolling; or |P| / r > theta_max
     while sliding        exactly mu_d f_N, no spring-damper: e is scaled to it, down and up
     sliding to rolling   inside the kinetic cone and no tangential velocity
 
@@ -60,9 +60,9 @@ def stick_slip_by_equations(
         force = vec3.scale(stiffness, deflection)
     elif inputs.dt > 0.0:
         force = vec3.add_scaled(force, coupling.damping / inputs.dt, change)
-    wind = wind_up(torsion, inputs.spin, inputs.twist, inputs)
+    wind = wind_up(torsion, coupling.torsional_damping, inputs.spin, inputs.twist, inputs)
     return FrictionResult(
         mode=mode, cause=cause, deflection=deflection, rolled_part=rolled, slip_speed=0.0, slip_deflection=0.0,
         spin=wind.spin, spin_slip_speed=wind.slip_speed, spin_slip_angle=wind.slip_angle, force=force,
-        moment=damp_moment(torsion, coupling.torsional_damping, wind.moment, wind.spin - inputs.spin, inputs),
+        moment=wind.moment,
     )  # fmt: skip

@@ -1,6 +1,6 @@
 """Spin moment of a soft finger: a torsional spring with an anchor that slips at the torsional limit.
 
-    wind_up(torsion, spin, turn, inputs) -> TorsionResult
+    wind_up(torsion, damping, spin, twist, inputs) -> TorsionResult
 
 Positive spin is right-handed about the normal; the moment on the hand opposes it.
 """
@@ -95,46 +95,40 @@ def scale_stiffness_of_spring(spring: Any, share: float) -> Any:
 
 
 @jit
-def damp_moment(torsion: Any, damping: float, moment: float, wound: float, inputs: FrictionInput) -> float:
-    """Return the moment of spring and parallel damper, N m, clamped to the torsional limit.
+def wind_up(torsion: Any, damping: float, spin: float, twist: float, inputs: FrictionInput) -> TorsionResult:
+    """Return the state of the spring after a rotation of `twist` rad about the normal.
 
-    damping  N m s/rad
-    wound    rad        change of the wind-up in this tick: a slipping anchor does not damp
-    """
-    if torsion is None or damping == 0.0 or inputs.dt <= 0.0:
-        return moment
-    limit = compute_torsional_limit(find_spring(torsion), inputs.normal_force)
-    both: float = min(max(moment - damping * wound / inputs.dt, -limit), limit)
-    return both
-
-
-@jit
-def wind_up(torsion: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
-    """Return the state of the spring after a rotation of `turn` rad about the normal.
-
-    On a limit surface, `slide` has already limited phi: the limit here is the one without a tangential force.
+    The moment is that of the spring and of a parallel damper (N m s/rad), clamped to the torsional limit. Only a change
+    of the wind-up in this tick is damped, not the slip of the anchor. On a limit surface, `slide` has already limited
+    phi: the limit here is the one without a tangential force.
     """
     if torsion is None:
         return TorsionResult(0.0, 0.0, 0.0, 0.0)
     if isinstance(torsion, SoftFingerProxy):
-        return wind_soft_finger(torsion, spin, turn, inputs)
-    return wind_spring(find_spring(torsion), spin, turn, inputs)
+        result = wind_soft_finger(torsion, spin, twist, inputs)
+    else:
+        result = wind_spring(find_spring(torsion), spin, twist, inputs)
+    if damping == 0.0 or inputs.dt <= 0.0:
+        return result
+    limit = compute_torsional_limit(find_spring(torsion), inputs.normal_force)
+    moment = result.moment - damping * (result.spin - inputs.spin) / inputs.dt
+    return replace(result, "moment", min(max(moment, -limit), limit))
 
 
 @jit
-def wind_spring(spring: Any, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
+def wind_spring(spring: Any, spin: float, twist: float, inputs: FrictionInput) -> TorsionResult:
     """Compute tau_n = k_z phi, its magnitude at most the torsional limit; the anchor slips by the excess.
 
     Source: Salvietti et al. (2013), eq. 1; the paper has no limit.
     """
     stiffness = find_torsional_stiffness(spring)
     limit = compute_torsional_limit(spring, inputs.normal_force) / stiffness
-    angle = min(max(spin + turn, -limit), limit)
+    angle = min(max(spin + twist, -limit), limit)
     return TorsionResult(angle, -stiffness * angle, 0.0, 0.0)
 
 
 @jit
-def wind_soft_finger(torsion: SoftFingerProxy, spin: float, turn: float, inputs: FrictionInput) -> TorsionResult:
+def wind_soft_finger(torsion: SoftFingerProxy, spin: float, twist: float, inputs: FrictionInput) -> TorsionResult:
     """Compute the proxy's fourth degree of freedom: its angle about the normal sticks, or slips behind the probe's.
 
     phi is the probe's angle minus the proxy's. The proxy sticks while k_z |phi| is within the static torsional cone;
@@ -150,7 +144,7 @@ def wind_soft_finger(torsion: SoftFingerProxy, spin: float, turn: float, inputs:
     slip_speed, slip_angle, dt = inputs.spin_slip_speed, inputs.spin_slip_angle, inputs.dt
     sticks = slip_speed == 0.0
     limit = static_limit if sticks else torsion.kinetic_share * static_limit
-    angle = spin + turn
+    angle = spin + twist
     slip = max(abs(angle) - limit, 0.0)
     angle = min(max(angle, -limit), limit)
     slips = slip > SPIN_TOLERANCE * limit

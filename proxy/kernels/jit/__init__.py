@@ -5,7 +5,7 @@ Nothing of geometry or contact. A kernel has one of these decorators:
     @jit                   called by kernels, compiled into them
     @entry                 called from Python
     @outlined              called by kernels, by address: too large to be compiled into each of them
-    @outlined_where(holds) outlined for some types of arguments, otherwise as @jit
+    @outlined_where(f)     outlined for argument types for which `f` returns true, otherwise as @jit
     @c_function(signature) called by a C library, or by address
     @by_type               declares a kernel chosen by the type of its first argument: `.of(Kind)` implements it
     @by_type_with_default  the same; the declaration is the implementation for all other types

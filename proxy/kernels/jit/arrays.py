@@ -98,7 +98,7 @@ register_address(ReadOnlyType)
 
 
 class Mutable(ReadOnly):
-    """Numbers that kernels write: what a scene of any number of objects remembers, which no tuple has room for.
+    """Numbers that kernels write: the state of a scene of any number of objects, too large for a tuple.
 
     Copies of a state share them. Readers and writers are one thread.
     """

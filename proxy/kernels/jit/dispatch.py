@@ -22,7 +22,7 @@ _OTHERS: Final = object()
 
 
 def by_type_with_default(default: Callable[..., Any]) -> Any:
-    """Declare a kernel as by `by_type`; the function is the implementation for all kinds without one of their own."""
+    """Declare a kernel as by `by_type`; the function is the implementation for all kinds without an implementation."""
     choice = by_type(default)
     choice.otherwise(default)
     return choice
@@ -40,10 +40,10 @@ def _forwarding(declaration: Callable[..., Any], kernels: Any) -> Callable[..., 
 
 
 def by_type(declaration: Callable[..., Any]) -> Any:
-    """Declare a kernel that each kind of node implements with `.of(Kind)`, or all others with `.otherwise`.
+    """Declare a kernel that each kind of node implements with `.of(Kind)`, or `.otherwise` for all other kinds.
 
     A kind is identified by its class, wherever that is defined: another package adds kinds with `.of(Kind)`, without
-    further registration. `.has(kind)` tells whether a kind has a kernel of its own.
+    further registration. `.has(kind)` is True for a kind with a registered kernel.
     """
     kernels: dict[Any, Callable[..., Any]] = {}
 

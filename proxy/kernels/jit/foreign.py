@@ -28,7 +28,7 @@ def _called(returns: Any) -> Any:
 def call_int32(typing_context, address, arguments):  # type: ignore[no-untyped-def]
     """Call int32 f(...) at `address` (int64) with a tuple of float64, int32, int64 and pointers, passed unchanged.
 
-    Pass an int32 for a C `char` or `bool` parameter: the callee reads only the low byte, whatever its sign convention.
+    Pass an int32 for a C `char` or `bool` parameter: the callee reads only the low byte, with either sign convention.
     """
     if not isinstance(arguments, types.BaseTuple):
         return None

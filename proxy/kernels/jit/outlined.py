@@ -59,12 +59,12 @@ def outlined(function: Kernel) -> Kernel:
     return outlined_where(lambda *given: True)(function)
 
 
-def outlined_where(holds: Callable[..., bool]) -> Callable[[Kernel], Kernel]:
-    """Outline a kernel for argument types for which `holds` returns true; inline it for others (`jit`)."""
-    return lambda function: function if PLAIN else _declare(function, holds)
+def outlined_where(condition: Callable[..., bool]) -> Callable[[Kernel], Kernel]:
+    """Outline a kernel for argument types for which `condition` returns true, otherwise inline it (`jit`)."""
+    return lambda function: function if PLAIN else _declare(function, condition)
 
 
-def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
+def _declare(function: Kernel, condition: Callable[..., bool]) -> Any:
     inner = jit(function)
 
     @functools.cache
@@ -100,7 +100,7 @@ def _declare(function: Kernel, holds: Callable[..., bool]) -> Any:
         return result(*args), generate
 
     choice: Any = KernelChoice(
-        function, lambda *args: call_unit if holds(*args) else inner, lambda *args: from_python()(*args)
+        function, lambda *args: call_unit if condition(*args) else inner, lambda *args: from_python()(*args)
     )
     return choice
 

@@ -70,13 +70,13 @@ class PackedTree(NamedTuple):
 
 
 def repack(like: Any, values: np.ndarray) -> PackedTree:
-    """Return `values` as the leaves of `like`, with the addresses of its arrays."""
+    """Return a PackedTree of `values`, with the addresses of the arrays of `like`."""
     rows = [flatten(unflatten(like, row)) for row in np.atleast_2d(values)]
     return PackedTree(like, np.reshape(rows, values.shape))
 
 
 def packed(tree: Any) -> PackedTree:
-    """Return `tree` with a copy of its leaves as float64."""
+    """Return the PackedTree of `tree`."""
     return PackedTree(tree, flatten(tree))
 
 
@@ -108,7 +108,7 @@ def unpack(typing_context, like, values):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def unpack_at(typing_context, like, address):  # type: ignore[no-untyped-def]
-    """Return the tree of the type of `like` stored as float64 leaves at `address` (int64)."""
+    """Return the tree of the type of `like` stored as float64 at `address` (int64)."""
     _check(like)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -120,7 +120,7 @@ def unpack_at(typing_context, like, address):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def pack(typing_context, values, tree):  # type: ignore[no-untyped-def]
-    """Store the leaves of `tree` in `values`, shape (n,), float64."""
+    """Store `tree` as float64 in `values` (n,)."""
     _check(tree)
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]

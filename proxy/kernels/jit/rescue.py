@@ -4,7 +4,7 @@ MuJoCo reports an error deep inside a step to a handler, and ends the process wh
 return: it jumps back to before the call (setjmp, longjmp). Consequences, all confined to this file:
 
 - A function in which setjmp returns twice is neither optimised nor inlined: values in registers would be lost.
-  `_call_between` is that function and does nothing else.
+  `_make_jump` builds a function that only calls setjmp and the library.
 - There is one handler for the process, but a jump belongs to a thread: the target of the jump is thread-specific data
   of pthread, found by a key.
 - The handler is cached on disk like every kernel, but the number of the key belongs to this process: the handler reads

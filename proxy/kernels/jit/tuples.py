@@ -61,8 +61,8 @@ def same_for(typing_context, each, thing):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def first_of(typing_context, each, thing, others):  # type: ignore[no-untyped-def]
-    """Return a tuple of the length of `each`: `thing` first, then `others` in every other element."""
+def first_of(typing_context, each, thing, default):  # type: ignore[no-untyped-def]
+    """Return a tuple of the length of `each`: `thing` first, then `default` in every further element."""
     result = types.UniTuple(thing, len(each))
 
     def generate(context, builder, signature, args):  # type: ignore[no-untyped-def]
@@ -100,14 +100,14 @@ def field_of_each(typing_context, each, name):  # type: ignore[no-untyped-def]
 
 
 @intrinsic
-def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-def]
+def map_each(typing_context, kernel, each, *shared):  # type: ignore[no-untyped-def]
     """Return a tuple of the results of a kernel, called once for each index of tuples of equal length.
 
-    kernel  called with the elements of that index, then with `rest`
+    kernel  called with the elements of that index, then with `shared`
     each    the tuples, a tuple of them
-    rest    further arguments, the same in every call
+    shared  further arguments, the same in every call
     """
-    given = [tuple(of[i] for of in each) + rest for i in range(len(each[0]))]
+    given = [tuple(of[i] for of in each) + shared for i in range(len(each[0]))]
     made = [kernel.get_call_type(typing_context, tuple(map(types.unliteral, one)), {}) for one in given]
     result = types.Tuple([one.return_type for one in made])
 
@@ -118,7 +118,7 @@ def map_each(typing_context, kernel, each, *rest):  # type: ignore[no-untyped-de
             values.append(context.get_function(kernel, one)(builder, [*elements, *others]))
         return context.make_tuple(builder, result, values)
 
-    return result(kernel, each, types.Tuple(tuple(map(types.unliteral, rest)))), generate
+    return result(kernel, each, types.Tuple(tuple(map(types.unliteral, shared)))), generate
 
 
 @intrinsic
@@ -167,8 +167,8 @@ if PLAIN:
     def same_for(each: Any, thing: Any) -> Any:
         return (thing,) * len(each)
 
-    def first_of(each: Any, thing: Any, others: Any) -> Any:
-        return (thing, *(others,) * (len(each) - 1))
+    def first_of(each: Any, thing: Any, default: Any) -> Any:
+        return (thing, *(default,) * (len(each) - 1))
 
     def rows_of(each: Any, table: Any, first: int) -> Any:
         return tuple(table[first : first + len(each)])
@@ -176,8 +176,8 @@ if PLAIN:
     def field_of_each(each: Any, name: str) -> Any:
         return tuple(getattr(one, name) for one in each)
 
-    def map_each(kernel: Any, each: Any, *rest: Any) -> Any:
-        return tuple(kernel(*elements, *rest) for elements in zip(*each, strict=True))
+    def map_each(kernel: Any, each: Any, *shared: Any) -> Any:
+        return tuple(kernel(*elements, *shared) for elements in zip(*each, strict=True))
 
     def fold_each(kernel: Any, each: Any, start: Any) -> Any:
         for element in reversed(each):

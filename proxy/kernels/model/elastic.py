@@ -17,7 +17,7 @@ class Elastic(NamedTuple):
     damping     s                 time constant of a displacement
     bending     (nodes 6,)        for each node and direction x, y, z of a unit load on it: the largest rotation and the
                                   largest strain of the body, 1/N times 1 Pa
-    large       m                 displacement from which the body is no longer linear
+    large       m                 displacement above which the linear solution is not valid
     """
 
     compliance: ReadOnly
@@ -32,17 +32,18 @@ class Elastic(NamedTuple):
 class Surface(NamedTuple):
     """Surface under a fingertip.
 
-    displacement  (3,) m    in the object frame
-    change        (3,) m    of it since the tick before
-    inverse       (3, 3)    blocks of the inverse of Newton's matrix, one per finger: first correction of the next tick
-    rate          (3,) m/s  filtered rate of it
-    moved         (3,) m    the displacement in the world frame, 0 without contact
-    beyond        bits of `contact.nonlinear`
+    displacement        (3,) m    in the object frame
+    change              (3,) m    of the displacement since the last tick
+    inverse             (3, 3)    blocks of the inverse of Newton's matrix, one per finger: first correction of the next
+                                  tick
+    rate                (3,) m/s  filtered rate of the displacement
+    world_displacement  (3,) m    displacement in the world frame, 0 without contact
+    nonlinear                     bits of `contact.nonlinear`
     """
 
     displacement: Vec3
     change: Vec3
     inverse: Any
     rate: Vec3
-    moved: Vec3
-    beyond: float
+    world_displacement: Vec3
+    nonlinear: float

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
     SINUSOID   oscillation in the object's frame at rest: amplitudes `translation`, m, and `angle`, rad, about the unit
                `axis`; `frequency`, Hz, and `phase`, rad
     TURNTABLE  rotation in the object's frame at rest: `rate`, rad/s, about the unit `axis` through the `pivot`, m
-    SIMULATED  the object is attached to the `body` with that number of a simulation, with the addresses `block`
+    SIMULATED  the object is attached to the body number `body` of the simulation at the addresses `block`
                (query.bodies)
     """
 

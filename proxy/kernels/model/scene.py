@@ -103,9 +103,9 @@ class Single(NamedTuple):
 class FingertipForm(NamedTuple):
     """Form of an ellipsoidal fingertip in a tick.
 
-    semi_axes    m
-    orientation  of the axes, to the world
-    radius       m, of the finger
+    semi_axes    (3,)  m
+    orientation  (4,)     of the axes, to the world
+    radius             m  of the finger
     """
 
     semi_axes: Vec3
@@ -116,18 +116,18 @@ class FingertipForm(NamedTuple):
 class Many(NamedTuple):
     """Objects of any number and kinds, as arrays.
 
-    An object's index is its row, plus ENTRIES times the index of the triangle if it is a mesh (`query.container`).
+    An object's index is its row, plus MAX_ENTRIES times the index of the triangle if it is a mesh (`query.container`).
 
-    entries    Rows of Entry
-    size       number of entries
+    entries        Rows of Entry
+    size           number of entries
     movable_rows   int64 rows of entries that can move
     movable_count  number of these rows
-    search     SmoothSearch, FacetedSearch or CreasedSearch
-    materials  Rows of Material without the normal law, None among bare objects
-    textures   Rows of Texture, with 0 columns for an object without one; None in a scene without textures
-    effects    tuple of Carrier
-    poses      in a tick the World's memory of objects that can move, in a scene None
-    tip        in a tick the FingertipForm of an ellipsoidal fingertip, else None
+    search         SmoothSearch, FacetedSearch or CreasedSearch
+    materials      Rows of Material without the normal law, None among bare objects
+    textures       Rows of Texture, with 0 columns for an object without one; None in a scene without textures
+    effects        tuple of Carrier
+    poses          in a tick the World's memory of objects that can move, in a scene None
+    tip            in a tick the FingertipForm of an ellipsoidal fingertip, else None
     """
 
     entries: Any
@@ -185,15 +185,15 @@ class Finger(NamedTuple):
 class Bodies(NamedTuple):
     """Simulation of rigid bodies, and the objects attached to them.
 
-    block   ReadOnly  addresses of the simulation (query.bodies)
-    movable  ReadOnly  numbers of the bodies that can move
-    riders  ReadOnly  number of the attached body for each object of the scene file, 0 if it is not attached to one
-    objects           number of objects in the scene file
+    block     ReadOnly  addresses of the simulation (query.bodies)
+    movable   ReadOnly  numbers of the bodies that can move
+    attached  ReadOnly  for each object of the scene file the number of its body, 0 if it is not attached to one
+    objects             number of objects in the scene file
     """
 
     block: Any
     movable: Any
-    riders: Any
+    attached: Any
     objects: float
 
 

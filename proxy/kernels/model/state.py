@@ -31,6 +31,14 @@ class Probe(NamedTuple):
     velocity: Vec3
 
 
+class ProbeMotion(NamedTuple):
+    """Probe in this tick and in the last one, and the time between them, s."""
+
+    probe: Probe
+    last: Probe
+    dt: float
+
+
 NONE = -1.0
 """Flat object index of no object, see `Constraint`."""
 

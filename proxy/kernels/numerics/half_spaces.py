@@ -153,13 +153,13 @@ def solve_half_spaces(count: int, n1: Vec3, n2: Vec3, n3: Vec3, b1: float, b2: f
     # Of two walls that face each other, neither bears any of the other's load.
     c12, c13 = 0.0 if true.c12 < FACING_COSINE else true.c12, 0.0 if true.c13 < FACING_COSINE else true.c13
     c = Cosines(c12, c13, 0.0 if true.c23 < FACING_COSINE else true.c23)
-    push, met = _solve(count, c, b1, b2, b3)
-    if not met:  # the larger demand of two nearly parallel normals satisfies both
+    push, is_satisfied = _solve(count, c, b1, b2, b3)
+    if not is_satisfied:  # the larger demand of two nearly parallel normals satisfies both
         one, two = _ease_demands(c.c12, b1, b2)
         one, three = _ease_demands(c.c13, one, b3)
         two, three = _ease_demands(c.c23, two, three)
-        push, met = _solve(count, c, one, two, three)
-    if not met:
+        push, is_satisfied = _solve(count, c, one, two, three)
+    if not is_satisfied:
         # The normals are coplanar, sum nu_i n_i = 0; the demands b_i - t can be satisfied if sum nu_i (b_i - t) = 0.
         v1, v2, v3 = sqrt(1.0 - c.c23 * c.c23), sqrt(1.0 - c.c13 * c.c13), sqrt(1.0 - c.c12 * c.c12)
         t = (v1 * b1 + v2 * b2 + v3 * b3) / (v1 + v2 + v3)

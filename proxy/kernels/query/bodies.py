@@ -93,9 +93,9 @@ def push_bodies(bodies: Bodies, contacts: Any, fingers: Any) -> None:
     """
     wrench = float64_at(bodies.block[WRENCH])
     for k in range(int(bodies.objects)):
-        at = 6 * int(bodies.riders[k])
+        first = 6 * int(bodies.attached[k])
         for i in range(6):
-            wrench[at + i] = 0.0
+            wrench[first + i] = 0.0
     map_each(push_by_finger, (contacts, fingers), bodies)
 
 
@@ -108,7 +108,7 @@ def push_by_finger(contact: Contact, finger: FingerState, bodies: Bodies) -> Non
 @jit
 def push_by_contact(contact: ContactOutcome, center: Vec3, bodies: Bodies) -> None:
     if contact.object >= 0.0:
-        body = int(bodies.riders[int(contact.object)])
+        body = int(bodies.attached[int(contact.object)])
         if body > 0:
             push(bodies.block, body, contact.force, contact.torque, center)
 
@@ -119,10 +119,10 @@ def push(block: Any, body: int, force: Vec3, torque: Vec3, center: Vec3) -> None
     wrench, mass = float64_at(block[WRENCH]), float64_at(block[MASS_CENTER])
     origin = (mass[3 * body], mass[3 * body + 1], mass[3 * body + 2])
     about = vec3.add(torque, vec3.cross(vec3.sub(center, origin), force))
-    at = 6 * body
+    first = 6 * body
     for i in range(3):
-        wrench[at + i] -= force[i]
-        wrench[at + 3 + i] -= about[i]
+        wrench[first + i] -= force[i]
+        wrench[first + 3 + i] -= about[i]
 
 
 @jit
@@ -135,18 +135,18 @@ def write_motion(bodies: Bodies, tick: int, motion: Any) -> None:
     twist, centers, roots = float64_at(block[VELOCITY]), float64_at(block[TREE_CENTER]), int32_at(block[TREE_ROOT])
     motion[0] = tick
     for i in range(block[MOVING]):
-        body, at = bodies.movable[i], 1 + MOTION_SIZE * i
+        body, first = bodies.movable[i], 1 + MOTION_SIZE * i
         x, q = read_body_pose(block, float(body), POSITION)
         root, v = 3 * roots[body], 6 * body
         rate = (twist[v], twist[v + 1], twist[v + 2])
         arm = vec3.sub(x, (centers[root], centers[root + 1], centers[root + 2]))
         velocity = vec3.add((twist[v + 3], twist[v + 4], twist[v + 5]), vec3.cross(rate, arm))
         for k in range(4):
-            motion[at + 3 + k] = q[k]
+            motion[first + 3 + k] = q[k]
         for k in range(3):
-            motion[at + k] = x[k]
-            motion[at + 7 + k] = velocity[k]
-            motion[at + 10 + k] = rate[k]
+            motion[first + k] = x[k]
+            motion[first + 7 + k] = velocity[k]
+            motion[first + 10 + k] = rate[k]
 
 
 @jit

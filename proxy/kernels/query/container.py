@@ -16,7 +16,6 @@ from softfinger.proxy.kernels.model import (
     STILL,
     WORLD_PLANE,
     AnyShape,
-    Entry,
     Facet,
     Many,
     Material,
@@ -55,7 +54,7 @@ def find_object(objects: Any, index: float) -> Any:
         return replace(body, "shape", Facet(body.shape, index)) if isinstance(body.shape, Mesh) else body
     row, facet = extract_row(index), extract_facet(index)
     entry = objects.entries[row]
-    pose, last_pose = find_poses(objects.poses, entry, row)
+    pose, last_pose = find_poses(objects, row)
     return Object(
         shape=make_shape(objects.tip, replace(entry.shape, "facet", facet), pose),
         pose=pose,
@@ -100,24 +99,28 @@ def find_facet_step(objects: Any) -> float:
 
 
 @jit
-def find_poses(poses: Any, entry: Entry, row: int) -> tuple[Pose, Pose]:
+def find_poses(objects: Many, row: int) -> tuple[Pose, Pose]:
     """Return the poses of one of many objects in this tick and in the last."""
-    if poses is None or entry.motion.kind == STILL:
+    entry = objects.entries[row]
+    if objects.poses is None or entry.motion.kind == STILL:
         return entry.pose, entry.pose
-    return read_pose(poses, POSE_MEMORY_SIZE * row), read_pose(poses, POSE_MEMORY_SIZE * row + 7)
+    start = POSE_MEMORY_SIZE * row
+    return read_pose(objects.poses, start), read_pose(objects.poses, start + 7)
 
 
 @jit
-def read_pose(poses: Mutable, at: int) -> Pose:
-    return Pose((poses[at], poses[at + 1], poses[at + 2]), (poses[at + 3], poses[at + 4], poses[at + 5], poses[at + 6]))
+def read_pose(poses: Mutable, i: int) -> Pose:
+    """Return the pose stored from index `i`."""
+    return Pose((poses[i], poses[i + 1], poses[i + 2]), (poses[i + 3], poses[i + 4], poses[i + 5], poses[i + 6]))
 
 
 @jit
-def write_pose(poses: Mutable, at: int, pose: Pose) -> None:
+def write_pose(poses: Mutable, start: int, pose: Pose) -> None:
+    """Store a pose from index `start`."""
     for i in range(3):
-        poses[at + i] = pose.position[i]
+        poses[start + i] = pose.position[i]
     for i in range(4):
-        poses[at + 3 + i] = pose.orientation[i]
+        poses[start + 3 + i] = pose.orientation[i]
 
 
 @jit
@@ -149,10 +152,9 @@ def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
 
     The volume is a ball, for a height map all below its largest height.
     """
-    entry = objects.entries[row]
-    pose, _ = find_poses(objects.poses, entry, row)
-    if entry.shape.surface == CREASED:
-        return into(pose, x)[2] > (max(limit, 0.0) + entry.shape.reach) * SQUARE_MARGIN
+    shape, (pose, _) = objects.entries[row].shape, find_poses(objects, row)
+    if shape.surface == CREASED:
+        return into(pose, x)[2] > (max(limit, 0.0) + shape.reach) * SQUARE_MARGIN
     offset = vec3.sub(x, pose.position)
-    distance = max(limit, 0.0) + entry.shape.reach + find_largest_semi_axis(objects.tip)
+    distance = max(limit, 0.0) + shape.reach + find_largest_semi_axis(objects.tip)
     return vec3.dot(offset, offset) > SQUARE_MARGIN * distance * distance

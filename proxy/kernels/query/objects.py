@@ -18,9 +18,9 @@ from softfinger.proxy.kernels.query.container import (
 )
 from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_mesh
 from softfinger.proxy.kernels.shapes import (
-    bend,
     closest,
     closest_within,
+    concavity,
     constraint_at,
     curvature,
     is_hollow,
@@ -98,7 +98,7 @@ def does_slide_round_hollow(body: Any, radius: float, center: Vec3, normal: Vec3
     fills, that is many times theta.
     """
     point = into(body.pose, vec3.add_scaled(center, -radius, normal))
-    return bend(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > MAX_SWING_RAD
+    return concavity(body.shape, radius, point, turn_into(body.pose, normal)) * radius * theta > MAX_SWING_RAD
 
 
 @jit

@@ -28,18 +28,18 @@ def advance(objects: Any, world: World, dt: float) -> World:
         return World(started=1.0, time=time, poses=pose, last_pose=last_pose, surfaces=world.surfaces)
     for i in range(int(objects.movable_count)):
         row = objects.movable_rows[i]
-        entry, at = objects.entries[row], POSE_MEMORY_SIZE * row
-        motion, rest = entry.motion, entry.pose
-        pose = compute_pose(motion, rest, time)
+        entry, start = objects.entries[row], POSE_MEMORY_SIZE * row
+        motion, rest_pose = entry.motion, entry.pose
+        pose = compute_pose(motion, rest_pose, time)
         before = pose
         if motion.kind == SIMULATED:
             frame = read_body_pose(motion.block, motion.body, LAST_POSITION)
-            before = compose_pose(frame, rest.position, rest.orientation)
-        elif world.started != 0.0 and memory[at + TIME_OFFSET] == world.time:
-            before = read_pose(memory, at)
-        write_pose(memory, at + 7, before)
-        write_pose(memory, at, pose)
-        memory[at + TIME_OFFSET] = time
+            before = compose_pose(frame, rest_pose.position, rest_pose.orientation)
+        elif world.started != 0.0 and memory[start + TIME_OFFSET] == world.time:
+            before = read_pose(memory, start)
+        write_pose(memory, start + 7, before)
+        write_pose(memory, start, pose)
+        memory[start + TIME_OFFSET] = time
     return World(started=1.0, time=time, poses=world.poses, last_pose=None, surfaces=world.surfaces)
 
 

@@ -45,12 +45,12 @@ from softfinger.proxy.kernels.shapes.composite import (
 )
 from softfinger.proxy.kernels.shapes.heightmap.tiles import TILE_SIZE
 from softfinger.proxy.kernels.shapes.kernel_table import (
-    BEND,
     CHART,
     CLOSEST,
     CLOSEST_FROM,
     CLOSEST_OR_BOUND,
     CLOSEST_WITHIN,
+    CONCAVITY,
     CONSTRAINT,
     CURVATURE,
     FOLLOWS,
@@ -65,18 +65,18 @@ from softfinger.proxy.kernels.shapes.kernel_table import (
     TRAVEL,
     KernelSlot,
     ShapeRow,
-    called,
+    call_kernel,
     is_two_sided,
     kernel_table,
 )
 from softfinger.proxy.kernels.shapes.minkowski import nearest_on_minkowski_sum
 from softfinger.proxy.kernels.shapes.plane import closest_on_plane, travel_to_plane
 from softfinger.proxy.kernels.shapes.protocol import (
-    bend,
     closest,
     closest_from,
     closest_or_bound,
     closest_within,
+    concavity,
     constraint_at,
     curvature,
     follows,
@@ -109,7 +109,7 @@ SLOTS.update(
         CONSTRAINT: KernelSlot(constraint_at, (ZERO, 0.0, ZERO, 0), POINT_AND_BUDGET),
         CURVATURE: KernelSlot(curvature, (0.0, ZERO, ZERO), NO_CURVATURE),
         TRANSPORT: KernelSlot(transport, (ZERO, ZERO, ZERO), ZERO),
-        BEND: KernelSlot(bend, (0.0, ZERO, ZERO), 0.0),
+        CONCAVITY: KernelSlot(concavity, (0.0, ZERO, ZERO), 0.0),
         FOLLOWS: KernelSlot(follows, (0.0, ZERO, ZERO, ZERO), True),
         TRAVEL: KernelSlot(travel, (ZERO, ZERO, 0.0, True), 0.0),
         MEETS: KernelSlot(meets, (ZERO, ZERO, 0.0, True, 0), NO_MEETING),
@@ -122,13 +122,13 @@ SLOTS.update(
 )
 
 
-def any_shape(shape: Any, pose: Any, needs: frozenset[int]) -> AnyShape:
+def make_any_shape(shape: Any, pose: Any, needs: frozenset[int]) -> AnyShape:
     """Return a shape as AnyShape; its pose is None in the world frame."""
     kind = type(shape)
     plane = WORLD_PLANE if pose is None else FLAT
     surface = {Mesh: FACETED, Heightmap: CREASED, Plane: plane}.get(kind, SMOOTH)
     side = float(shape.side) if is_two_sided(shape) else 1.0
-    return AnyShape(ShapeRow([shape]), kernel_table(shape, needs), 0.0, side, surface, reach_of(shape))
+    return AnyShape(ShapeRow([shape]), kernel_table(shape, needs), 0.0, side, surface, compute_reach(shape))
 
 
 # --- the shape's protocol, by address ------------------------------------------------------------
@@ -147,18 +147,18 @@ plane_of: Any = (lambda shape: shape.sizes[0]) if PLAIN else jit(_plane_of)
 def closest_on_any(shape: AnyShape, x: Vec3) -> tuple[float, Vec3, Vec3]:
     if shape.surface >= FLAT:
         return closest_on_plane(plane_of(shape), x)
-    return called(shape, CLOSEST, FOOT, (x,))
+    return call_kernel(shape, CLOSEST, FOOT, (x,))
 
 
 @curvature.of(AnyShape)
 def curvature_of_any(shape: AnyShape, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
-    return called(shape, CURVATURE, NO_CURVATURE, (radius, point, normal))
+    return call_kernel(shape, CURVATURE, NO_CURVATURE, (radius, point, normal))
 
 
 @closest_from.of(AnyShape)
 def closest_on_any_from(shape: AnyShape, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     if shape.kernels[CLOSEST_FROM] != 0:
-        return called(shape, CLOSEST_FROM, FOOT_AND_BUDGET, (x, start, budget))
+        return call_kernel(shape, CLOSEST_FROM, FOOT_AND_BUDGET, (x, start, budget))
     gap, point, normal = closest(shape, x)
     return gap, point, normal, budget
 
@@ -166,7 +166,7 @@ def closest_on_any_from(shape: AnyShape, x: Vec3, start: Vec3, budget: int) -> t
 @closest_within.of(AnyShape)
 def closest_on_any_within(shape: AnyShape, x: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     if shape.kernels[CLOSEST_WITHIN] != 0:
-        return called(shape, CLOSEST_WITHIN, FOOT_AND_BUDGET, (x, budget))
+        return call_kernel(shape, CLOSEST_WITHIN, FOOT_AND_BUDGET, (x, budget))
     gap, point, normal = closest(shape, x)
     return gap, point, normal, budget
 
@@ -174,7 +174,7 @@ def closest_on_any_within(shape: AnyShape, x: Vec3, budget: int) -> tuple[float,
 @closest_or_bound.of(AnyShape)
 def closest_on_any_or_bound(shape: AnyShape, x: Vec3) -> tuple[float, Vec3, Vec3, float]:
     if shape.kernels[CLOSEST_OR_BOUND] != 0:
-        return called(shape, CLOSEST_OR_BOUND, FOOT_AND_FLAG, (x,))
+        return call_kernel(shape, CLOSEST_OR_BOUND, FOOT_AND_FLAG, (x,))
     gap, point, normal = closest(shape, x)
     return gap, point, normal, 0.0
 
@@ -184,7 +184,7 @@ def constraint_of_any(
     shape: AnyShape, center: Vec3, radius: float, normal: Vec3, budget: int
 ) -> tuple[Vec3, Vec3, int]:
     if shape.kernels[CONSTRAINT] != 0:
-        return called(shape, CONSTRAINT, POINT_AND_BUDGET, (center, radius, normal, budget))
+        return call_kernel(shape, CONSTRAINT, POINT_AND_BUDGET, (center, radius, normal, budget))
     _, point, up = closest(shape, center)
     return point, up, budget
 
@@ -194,17 +194,17 @@ def transport_on_any(shape: AnyShape, v: Vec3, normal_from: Vec3, normal_to: Vec
     if shape.surface >= FLAT:
         return v
     if shape.kernels[TRANSPORT] != 0:
-        return called(shape, TRANSPORT, ZERO, (v, normal_from, normal_to))
+        return call_kernel(shape, TRANSPORT, ZERO, (v, normal_from, normal_to))
     return turn_along(v, normal_from, normal_to)
 
 
 is_hollow.of(AnyShape)(hollow_from_inside)
 
 
-@bend.of(AnyShape)
-def bend_of_any(shape: AnyShape, radius: float, point: Vec3, normal: Vec3) -> float:
-    if shape.kernels[BEND] != 0:
-        return called(shape, BEND, 0.0, (radius, point, normal))
+@concavity.of(AnyShape)
+def concavity_of_any(shape: AnyShape, radius: float, point: Vec3, normal: Vec3) -> float:
+    if shape.kernels[CONCAVITY] != 0:
+        return call_kernel(shape, CONCAVITY, 0.0, (radius, point, normal))
     if shape.side > 0.0:
         return 0.0
     k1, k2, _ = curvature(shape, radius, point, normal)
@@ -214,32 +214,32 @@ def bend_of_any(shape: AnyShape, radius: float, point: Vec3, normal: Vec3) -> fl
 @follows.of(AnyShape)
 def follows_on_any(shape: AnyShape, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> bool:
     if shape.kernels[FOLLOWS] != 0:
-        return called(shape, FOLLOWS, True, (radius, start, normal, end))
+        return call_kernel(shape, FOLLOWS, True, (radius, start, normal, end))
     return True
 
 
 @travel.of(AnyShape)
-def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+def travel_to_any(shape: AnyShape, start: Vec3, end: Vec3, radius: float, in_contact: bool) -> float:
     if shape.surface >= FLAT:
-        return travel_to_plane(plane_of(shape), start, end, radius, leaves)
+        return travel_to_plane(plane_of(shape), start, end, radius, in_contact)
     if shape.kernels[TRAVEL] != 0:
-        return called(shape, TRAVEL, 0.0, (start, end, radius, leaves))
-    return travel_to_shape(shape, start, end, radius, leaves)
+        return call_kernel(shape, TRAVEL, 0.0, (start, end, radius, in_contact))
+    return travel_to_shape(shape, start, end, radius, in_contact)
 
 
 @meets.of(AnyShape)
 def meets_any(
-    shape: AnyShape, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+    shape: AnyShape, start: Vec3, end: Vec3, radius: float, in_contact: bool, budget: int
 ) -> tuple[float, float, int]:
     if shape.kernels[MEETS] != 0:
-        return called(shape, MEETS, NO_MEETING, (start, end, radius, leaves, budget))
-    return travel(shape, start, end, radius, leaves), 0.0, budget
+        return call_kernel(shape, MEETS, NO_MEETING, (start, end, radius, in_contact, budget))
+    return travel(shape, start, end, radius, in_contact), 0.0, budget
 
 
 @nearest_of_shape.of(AnyShape)
 def nearest_of_any(shape: AnyShape, x: Vec3, within: float, known: Vec3, budget: int) -> NearestObject:
     if shape.kernels[NEAREST] != 0:
-        return called(shape, NEAREST, NO_OBJECT, (x, within, known, budget))
+        return call_kernel(shape, NEAREST, NO_OBJECT, (x, within, known, budget))
     gap, _, _ = closest(shape, x)
     return NearestObject(gap, 0.0, budget)
 
@@ -247,39 +247,39 @@ def nearest_of_any(shape: AnyShape, x: Vec3, within: float, known: Vec3, budget:
 @neighbour_of.of(AnyShape)
 def neighbour_on_any(shape: AnyShape, x: Vec3) -> float:
     if shape.kernels[NEIGHBOUR] != 0:
-        return called(shape, NEIGHBOUR, 0.0, (x,))
+        return call_kernel(shape, NEIGHBOUR, 0.0, (x,))
     return 0.0
 
 
 @raised_clear.of(AnyShape)
 def raised_clear_of_any(shape: AnyShape, x: Vec3, radius: float) -> Vec3:
     if shape.kernels[RAISED] != 0:
-        return called(shape, RAISED, ZERO, (x, radius))
+        return call_kernel(shape, RAISED, ZERO, (x, radius))
     return x
 
 
 @shade_normal.of(AnyShape)
 def shade_any(shape: AnyShape, pose: Pose, normal: Vec3, position: Vec3) -> Vec3:
     if shape.kernels[SHADED] != 0:
-        return called(shape, SHADED, ZERO, (pose, normal, position))
+        return call_kernel(shape, SHADED, ZERO, (pose, normal, position))
     return normal
 
 
 @chart.of(AnyShape)
 def chart_of_any(shape: AnyShape, fade: float, x: Vec3, normal: Vec3) -> Chart:
-    return called(shape, CHART, NO_CHART, (fade, x, normal))
+    return call_kernel(shape, CHART, NO_CHART, (fade, x, normal))
 
 
 @nearest_on_minkowski_sum.of(AnyShape)
 def nearest_over_any(shape: AnyShape, grown: MinkowskiSum, x: Vec3) -> tuple[float, Vec3, Vec3]:
-    return called(shape, MINKOWSKI, FOOT, (grown, x))
+    return call_kernel(shape, MINKOWSKI, FOOT, (grown, x))
 
 
 _ANY: Final = AnyShape(ReadOnly([0.0]), ReadOnly(np.zeros(1, np.int64)), 0.0, 1.0, SMOOTH, 0.0)
 SLOTS[MINKOWSKI] = KernelSlot(nearest_on_minkowski_sum, (MinkowskiSum(_ANY, ZERO, UP, 0.0), ZERO), FOOT)
 
 
-def reach_of(shape: Any) -> float:
+def compute_reach(shape: Any) -> float:
     """Return `reach` of `AnyShape`, m."""
     match shape:
         case Sphere(side=1.0):

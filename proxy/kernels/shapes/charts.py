@@ -55,7 +55,7 @@ def ease_at_edge(margin: float, fade: float, coordinate: float) -> tuple[float, 
 
 
 @jit
-def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
+def make_flat_chart(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
     """Return the chart of a face normal to an axis, |x_i| <= half_i."""
     a, b, c = abs(normal[0]), abs(normal[1]), abs(normal[2])
     i, di = ease_at_edge(half[0] - abs(x[0]), fade, x[0])
@@ -69,7 +69,7 @@ def flat(fade: float, x: Vec3, normal: Vec3, half: Vec3) -> Chart:
 
 
 @jit
-def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
+def make_round_chart(radius: float, x: Vec3, share: float, slope: float) -> Chart:
     """Return the chart of the side of a cylinder; `share` and `slope` are `inside` and its derivative along z."""
     # Lower bound: on the axis the arc length has no finite gradient.
     away = max(sqrt(x[0] * x[0] + x[1] * x[1]), MIN_NORMAL_COMPONENT * radius)
@@ -80,17 +80,17 @@ def round_z(radius: float, x: Vec3, share: float, slope: float) -> Chart:
 
 @chart.of(Plane)
 def chart_of_plane(shape: Plane, fade: float, x: Vec3, normal: Vec3) -> Chart:
-    return flat(fade, x, shape.normal, (NO_EDGE_M, NO_EDGE_M, NO_EDGE_M))
+    return make_flat_chart(fade, x, shape.normal, (NO_EDGE_M, NO_EDGE_M, NO_EDGE_M))
 
 
 @chart.of(Box)
 def chart_of_box(shape: Box, fade: float, x: Vec3, normal: Vec3) -> Chart:
-    return flat(fade, x, normal, shape.half_extents)
+    return make_flat_chart(fade, x, normal, shape.half_extents)
 
 
 @chart.of(Cylinder)
 def chart_of_cylinder(shape: Cylinder, fade: float, x: Vec3, normal: Vec3) -> Chart:
-    return round_z(shape.radius, x, 1.0, 0.0)
+    return make_round_chart(shape.radius, x, 1.0, 0.0)
 
 
 @chart.of(CappedCylinder)
@@ -101,4 +101,4 @@ def chart_of_capped_cylinder(shape: CappedCylinder, fade: float, x: Vec3, normal
         inward = (-slope * x[0] / away, -slope * x[1] / away, 0.0)
         return Chart(x[0], x[1], (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), share, inward)
     share, slope = ease_at_edge(shape.half_length - abs(x[2]), fade, x[2])
-    return round_z(shape.radius, x, share, slope)
+    return make_round_chart(shape.radius, x, share, slope)

@@ -5,7 +5,7 @@ Each triangle of a mesh counts as an object. Every other shape uses the defaults
     nearest_of_shape(shape, x, within, ...)  -> NearestObject    nearest of its objects
     neighbour_of(shape, x)                   -> number           of the object across an edge, relative to this one
     raised_clear(shape, x, radius)           -> (3,) m           a point that is certainly outside
-    shaded(shape, pose, normal, position)    -> (3,)             direction of the force
+    shade_normal(shape, pose, normal, pos.)  -> (3,)             direction of the force
 """
 
 from typing import Any, NamedTuple

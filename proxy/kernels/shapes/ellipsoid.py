@@ -18,7 +18,14 @@ from math import sqrt
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Ellipsoid, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import any_tangent, closest, curvature, direction, may_be_hollow, offset
+from softfinger.proxy.kernels.shapes.protocol import (
+    any_tangent,
+    closest,
+    compute_direction,
+    compute_offset_curvature,
+    curvature,
+    may_be_hollow,
+)
 
 _MAX_STEPS = 128
 """Limit of Newton's iterations; close to the surface three or four are enough. It is needed at the rim of the medial
@@ -87,12 +94,12 @@ def on_ellipsoid(axes: Vec3, shortest: float, x: Vec3) -> Vec3:
     if s > 0.0:
         return vec3.scale(1.0 / vec3.norm(q), q)
     # x is in the plane of symmetry normal to the shortest axis, so deep that the other two components are inside.
-    rest = sqrt(max(1.0 - vec3.dot(q, q), 0.0))
+    remainder = sqrt(max(1.0 - vec3.dot(q, q), 0.0))
     if axes[0] == shortest:
-        return (rest, q[1], q[2])
+        return (remainder, q[1], q[2])
     if axes[1] == shortest:
-        return (q[0], rest, q[2])
-    return (q[0], q[1], rest)
+        return (q[0], remainder, q[2])
+    return (q[0], q[1], remainder)
 
 
 may_be_hollow(Ellipsoid)
@@ -112,7 +119,7 @@ def closest_on_ellipsoid(shape: Ellipsoid, x: Vec3) -> tuple[float, Vec3, Vec3]:
     q = (sign[0] * q[0], sign[1] * q[1], sign[2] * q[2])
     point = (a[0] * q[0], a[1] * q[1], a[2] * q[2])
     # The gradient, in units of the shortest semi-axis.
-    _, outward = direction((q[0] * (shortest / a[0]), q[1] * (shortest / a[1]), q[2] * (shortest / a[2])), q)
+    _, outward = compute_direction((q[0] * (shortest / a[0]), q[1] * (shortest / a[1]), q[2] * (shortest / a[2])), q)
     gap = shape.side * vec3.dot(vec3.sub(x, point), outward)
     return gap, point, vec3.scale(shape.side, outward)
 
@@ -139,6 +146,6 @@ def curvature_of_ellipsoid(shape: Ellipsoid, radius: float, point: Vec3, normal:
     k2 = product / k1
     # The eigenvector of k1 from the row that does not cancel; any tangent if the two are equal.
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
-    _, turned = direction(along, (1.0, 0.0, 0.0))
+    _, turned = compute_direction(along, (1.0, 0.0, 0.0))
     first = vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)
-    return offset(shape.side * k1, radius), offset(shape.side * k2, radius), first
+    return compute_offset_curvature(shape.side * k1, radius), compute_offset_curvature(shape.side * k2, radius), first

@@ -2,7 +2,7 @@
 
 Each kind of shape has a table with the addresses of the kernels that it implements itself. A kernel is compiled when
 the first scene needs it, once for all scenes, and cached. It takes the row of a shape, the index of a triangle, and its
-other arguments (`called`). `any_shape`, `rest/one_object` and `rolling` register the slots of the table in SLOTS.
+other arguments (`call_kernel`). `any_shape`, `rest/one_object` and `rolling` register the slots of the table in SLOTS.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from softfinger.proxy.kernels.model import AnyShape, Facet, Mesh, Plane
 from softfinger.proxy.kernels.shapes.protocol import is_hollow
 
 CLOSEST, CLOSEST_FROM, CLOSEST_OR_BOUND, CLOSEST_WITHIN, CONSTRAINT, CURVATURE = 0, 1, 2, 3, 4, 5
-TRANSPORT, BEND, FOLLOWS, TRAVEL, MEETS, NEAREST, NEIGHBOUR, RAISED, SHADED = 6, 7, 8, 9, 10, 11, 12, 13, 14
+TRANSPORT, CONCAVITY, FOLLOWS, TRAVEL, MEETS, NEAREST, NEIGHBOUR, RAISED, SHADED = 6, 7, 8, 9, 10, 11, 12, 13, 14
 REST, AHEAD, UNROLL, CHART, MINKOWSKI = 15, 16, 17, 18, 19
 """Indices of the slots of a table."""
 OPTIONAL: Final = frozenset({AHEAD, UNROLL, CHART, MINKOWSKI})
@@ -87,7 +87,7 @@ def kernel_table(shape: Any, needs: frozenset[int]) -> KernelTable:
         if (slot in needs or slot not in OPTIONAL)
         and slot not in INLINE.get(kind, ())
         and _has(choice, kind)
-        and not (slot == BEND and is_two_sided(shape))
+        and not (slot == CONCAVITY and is_two_sided(shape))
     )
     return shared_table(shape, slots)
 
@@ -148,7 +148,7 @@ _BYTES: Final = ir.IntType(8).as_pointer()
 
 
 @intrinsic
-def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-untyped-def]
+def _call_kernel(typing_context, shape, slot, like, arguments):  # type: ignore[no-untyped-def]
     sizes, kernels, facet = shape.fields.index("sizes"), shape.fields.index("kernels"), shape.fields.index("facet")
     kinds = tuple(map(types.unliteral, arguments))
     packed, result = types.Tuple((shape.types[sizes], types.float64, *kinds)), types.unliteral(like)
@@ -168,15 +168,15 @@ def _called(typing_context, shape, slot, like, arguments):  # type: ignore[no-un
     return result(shape, types.int64, like, types.Tuple(kinds)), generate
 
 
-def _called_in_python(shape: AnyShape, slot: int, like: Any, arguments: tuple[Any, ...]) -> Any:
-    choice, own = SLOTS[slot].choice, shape.sizes[0]
-    if isinstance(own, Mesh) and choice.has(Facet):
-        own = Facet(own, shape.facet)
-    return choice(own, *arguments)
+def _call_kernel_in_python(shape: AnyShape, slot: int, like: Any, arguments: tuple[Any, ...]) -> Any:
+    choice, bare = SLOTS[slot].choice, shape.sizes[0]
+    if isinstance(bare, Mesh) and choice.has(Facet):
+        bare = Facet(bare, shape.facet)
+    return choice(bare, *arguments)
 
 
-called: Any = _called_in_python if PLAIN else _called
-"""called(shape: AnyShape, slot, like, arguments): what the kernel in that place of the shape's table returns.
+call_kernel: Any = _call_kernel_in_python if PLAIN else _call_kernel
+"""call_kernel(shape: AnyShape, slot, like, arguments): calls the kernel in that slot of the shape's table.
 
 like       a value of the result's type
 arguments  tuple, of the types of the slot

@@ -23,7 +23,7 @@ from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.model import Cylinder, Ellipsoid, MinkowskiSum, Plane, Quaternion, Sphere, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes.ellipsoid import closest_on_ellipsoid, multiply_components
-from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, curvature, direction
+from softfinger.proxy.kernels.shapes.protocol import X_AXIS, Y_AXIS, Z_AXIS, closest, compute_direction, curvature
 
 
 @by_type
@@ -77,7 +77,7 @@ def nearest_over_cylinder(shape: Cylinder, grown: MinkowskiSum, x: Vec3) -> tupl
     longest = sqrt(0.5 * (uu + vv) + spread)
     area = vec3.norm(multiply_components((a[1] * a[2], a[2] * a[0], a[0] * a[1]), rotations.rotate(back, Z_AXIS)))
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
-    _, turned = direction(along, X_AXIS)
+    _, turned = compute_direction(along, X_AXIS)
     c, s = turned[0], turned[1]
     # The third semi-axis has no effect: the point is in the plane normal to it.
     shadow = Ellipsoid((longest, area / longest, longest), 1.0)
@@ -115,5 +115,5 @@ def curvature_of_minkowski_sum(
     first, second, mixed = ku * (1.0 + kv * vv) / size, kv * (1.0 + ku * uu) / size, -ku * kv * uv / size
     half, mean = 0.5 * (first - second), 0.5 * (first + second)
     spread = sqrt(half * half + mixed * mixed)
-    _, turned = direction((half + spread, mixed, 0.0) if half >= 0.0 else (mixed, spread - half, 0.0), X_AXIS)
+    _, turned = compute_direction((half + spread, mixed, 0.0) if half >= 0.0 else (mixed, spread - half, 0.0), X_AXIS)
     return mean + spread, mean - spread, vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)

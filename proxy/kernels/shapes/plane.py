@@ -22,10 +22,10 @@ def transport_on_plane(shape: Plane, v: Vec3, normal_from: Vec3, normal_to: Vec3
 
 
 @travel.of(Plane)
-def travel_to_plane(shape: Plane, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+def travel_to_plane(shape: Plane, start: Vec3, end: Vec3, radius: float, in_contact: bool) -> float:
     before = vec3.dot(shape.normal, start) - shape.offset - radius
     after = vec3.dot(shape.normal, end) - shape.offset - radius
-    if after >= 0.0 or (leaves and after >= before):
+    if after >= 0.0 or (in_contact and after >= before):
         return NO_HIT
     return max(before, 0.0) / (max(before, 0.0) - after)
 

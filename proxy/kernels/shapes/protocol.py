@@ -12,9 +12,9 @@ default if it has a better method, as the plane does.
     constraint_at(shape, center, radius, n, budget) -> point, n, budget of an active constraint with the last normal n
     transport(shape, v, n_from, n_to)        -> (3,)                tangent vector v transported to the new normal
     is_hollow(shape)                         -> bool                True if touched from inside; default: False
-    bend(shape, radius, point, normal)       -> 1/m                 curvature of the offset surface round the fingertip
+    concavity(shape, radius, point, normal)  -> 1/m                 curvature of the offset surface round the fingertip
     follows(shape, radius, start, normal, end) -> bool              True if the centre may roll there; default: True
-    travel(shape, start, end, radius, leaves)  -> 0 to 1            share of the path until the fingertip hits the shape
+    travel(shape, start, end, radius, in_contact) -> 0 to 1         share of the path until the fingertip hits the shape
     rest_on(shape, pose, radius, ...)                               rest position of the proxy
     ahead(shape, radius, center, ...)                               centre after a straight motion on the surface
     unroll(shape, radius, center, ...)                              rolling in closed form; no default
@@ -116,12 +116,14 @@ def follows(shape: Any, radius: float, start: Vec3, normal: Vec3, end: Vec3) -> 
 
 
 @by_type
-def travel(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> Any:
+def travel(shape: Any, start: Vec3, end: Vec3, radius: float, in_contact: bool) -> Any:
     """Return the share of the path from `start` to `end` at which a sphere of that radius hits the shape, or NO_HIT.
 
-    A path that ends inside is a hit, at its start if the start is inside, too. With `leaves`, a path that starts inside
-    and gets no deeper is not a hit: a proxy on the shape may be inside by rounding. Nor is a short path that ends
-    outside: the fingertip at its two ends covers it, and a proxy that follows a curved surface moves on a chord.
+    A path that ends inside is a hit, at its start if the start is inside, too.
+
+    in_contact  True for a proxy on the shape, which may be inside by rounding. A path that starts inside and gets no
+                deeper then is not a hit, nor is a short path that ends outside: the fingertip at its two ends covers
+                it, and a proxy that follows a curved surface moves on a chord.
     """
 
 
@@ -146,12 +148,12 @@ def unroll(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> An
 
 
 @by_type_with_default
-def bend(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
+def concavity(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     """Return the largest curvature with which the offset surface bends round the fingertip, 1/m; 0 if it does not."""
     return 0.0
 
 
-def bend_from_inside(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
+def concavity_from_side(shape: Any, radius: float, point: Vec3, normal: Vec3) -> float:
     if shape.side > 0.0:
         return 0.0
     k1, k2, _ = curvature(shape, radius, point, normal)
@@ -165,11 +167,11 @@ def hollow_from_inside(shape: Any) -> bool:
 def may_be_hollow(kind: type) -> None:
     """Register shapes that have `side`, -1 if touched from inside."""
     is_hollow.of(kind)(hollow_from_inside)
-    bend.of(kind)(bend_from_inside)
+    concavity.of(kind)(concavity_from_side)
 
 
 @jit
-def direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
+def compute_direction(v: Vec3, otherwise: Vec3) -> tuple[float, Vec3]:
     """Return the length of `v` and the unit vector along it, or `otherwise` if `v` is zero; for any finite `v`."""
     square = vec3.dot(v, v)
     if 1e-250 < square < 1e250:
@@ -203,7 +205,7 @@ def any_tangent(normal: Vec3) -> Vec3:
 
 
 @jit
-def offset(k: float, radius: float) -> float:
+def compute_offset_curvature(k: float, radius: float) -> float:
     """Return the curvature at the distance `radius` from a surface of curvature `k`, 1/m.
 
     A fingertip that fits has 1 + radius k > 0; for one that does not, the curvature is large, but finite.
@@ -238,7 +240,7 @@ TOUCHING_CLEARANCE = 1e-9
 
 
 @travel.otherwise
-def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool) -> float:
+def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, in_contact: bool) -> float:
     """Conservative advancement: repeatedly move by the clearance, within which there is no obstacle."""
     path = vec3.sub(end, start)
     length = vec3.norm(path)
@@ -246,14 +248,14 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
     clearance = gap - radius
     if clearance >= length:
         return NO_HIT
-    if leaves and length <= MAX_STRIDE * radius:
+    if in_contact and length <= MAX_STRIDE * radius:
         gap, _, _ = closest(shape, end)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return NO_HIT
     touching = TOUCHING_CLEARANCE * radius
     if clearance <= touching:
         gap, _, _ = closest(shape, end)
-        return 0.0 if gap - radius < (min(clearance, 0.0) if leaves else 0.0) else NO_HIT
+        return 0.0 if gap - radius < (min(clearance, 0.0) if in_contact else 0.0) else NO_HIT
     share = 0.0
     for _ in range(MAX_ADVANCES):
         share += clearance / length
@@ -281,6 +283,6 @@ def travel_to_shape(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: b
 
 
 @by_type_with_default
-def meets(shape: Any, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int) -> tuple[float, float, int]:
+def meets(shape: Any, start: Vec3, end: Vec3, radius: float, in_contact: bool, budget: int) -> tuple[float, float, int]:
     """Return `travel`, the number of the element hit, and the remaining budget."""
-    return travel(shape, start, end, radius, leaves), 0.0, budget
+    return travel(shape, start, end, radius, in_contact), 0.0, budget

@@ -10,8 +10,8 @@ from softfinger.proxy.kernels.shapes.protocol import (
     any_tangent,
     around_z,
     closest,
+    compute_direction,
     curvature,
-    direction,
     may_be_hollow,
 )
 
@@ -32,7 +32,7 @@ may_be_hollow(Sphere)
 @closest.of(Sphere)
 def closest_on_sphere(shape: Sphere, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """At the centre, where all points are nearest, return the one on the z axis."""
-    distance, outward = direction(x, Z_AXIS)
+    distance, outward = compute_direction(x, Z_AXIS)
     gap = shape.side * (distance - shape.radius)
     return gap, vec3.scale(shape.radius, outward), vec3.scale(shape.side, outward)
 
@@ -49,7 +49,7 @@ may_be_hollow(Cylinder)
 @closest.of(Cylinder)
 def closest_on_cylinder(shape: Cylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """On the axis, where a circle of points is nearest, return the one towards +x."""
-    distance, outward = direction((x[0], x[1], 0.0), X_AXIS)
+    distance, outward = compute_direction((x[0], x[1], 0.0), X_AXIS)
     point = (shape.radius * outward[0], shape.radius * outward[1], x[2])
     return shape.side * (distance - shape.radius), point, vec3.scale(shape.side, outward)
 
@@ -67,7 +67,7 @@ may_be_hollow(Capsule)
 def closest_on_capsule(shape: Capsule, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """On the segment between the centres of the ends, return the point towards +x."""
     z = min(max(x[2], -shape.half_length), shape.half_length)
-    distance, outward = direction((x[0], x[1], x[2] - z), X_AXIS)
+    distance, outward = compute_direction((x[0], x[1], x[2] - z), X_AXIS)
     point = vec3.add_scaled((0.0, 0.0, z), shape.radius, outward)
     return shape.side * (distance - shape.radius), point, vec3.scale(shape.side, outward)
 
@@ -87,9 +87,9 @@ may_be_hollow(Torus)
 @closest.of(Torus)
 def closest_on_torus(shape: Torus, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """On the axis, return the part of the ring towards +x; on the core circle, the point above (+z)."""
-    distance, radial = direction((x[0], x[1], 0.0), X_AXIS)
+    distance, radial = compute_direction((x[0], x[1], 0.0), X_AXIS)
     # In the half plane through the axis and x, with the coordinates along `radial` and z.
-    from_core, outward = direction((distance - shape.major, x[2], 0.0), (0.0, 1.0, 0.0))
+    from_core, outward = compute_direction((distance - shape.major, x[2], 0.0), (0.0, 1.0, 0.0))
     level = shape.major + shape.minor * outward[0]
     point = (level * radial[0], level * radial[1], shape.minor * outward[1])
     normal = (outward[0] * radial[0], outward[0] * radial[1], outward[1])
@@ -102,7 +102,7 @@ def curvature_of_torus(shape: Torus, radius: float, point: Vec3, normal: Vec3) -
 
     The tangent is computed from the point: on the circles at the top and bottom, the normal is along z everywhere.
     """
-    _, radial = direction((point[0], point[1], 0.0), X_AXIS)
+    _, radial = compute_direction((point[0], point[1], 0.0), X_AXIS)
     around = (-radial[1], radial[0], 0.0)
     outward = shape.side * vec3.dot(normal, radial)
     # A large curvature, not an infinite one, if the fingertip does not fit into the tube or through the hole.

@@ -14,8 +14,8 @@ from softfinger.proxy.kernels.shapes.protocol import (
     any_tangent,
     around_z,
     closest,
+    compute_direction,
     curvature,
-    direction,
 )
 
 MIN_TILT_RAD = 1e-7
@@ -31,7 +31,7 @@ def closest_on_box(shape: Box, x: Vec3) -> tuple[float, Vec3, Vec3]:
     gap = max(beyond[0], beyond[1], beyond[2])
     if gap > 0.0:
         point = (min(max(x[0], -h[0]), h[0]), min(max(x[1], -h[1]), h[1]), min(max(x[2], -h[2]), h[2]))
-        distance, normal = direction(vec3.sub(x, point), X_AXIS)
+        distance, normal = compute_direction(vec3.sub(x, point), X_AXIS)
         return distance, point, normal
     if gap == beyond[0]:
         sign = 1.0 if x[0] >= 0.0 else -1.0
@@ -63,11 +63,11 @@ def curvature_of_box(shape: Box, radius: float, point: Vec3, normal: Vec3) -> tu
 @closest.of(CappedCylinder)
 def closest_on_capped_cylinder(shape: CappedCylinder, x: Vec3) -> tuple[float, Vec3, Vec3]:
     """Inside, return the closer of side and end, the side if equal; on the axis, the side towards +x."""
-    distance, outward = direction((x[0], x[1], 0.0), X_AXIS)
+    distance, outward = compute_direction((x[0], x[1], 0.0), X_AXIS)
     up = 1.0 if x[2] >= 0.0 else -1.0
     beyond_side, beyond_end = distance - shape.radius, abs(x[2]) - shape.half_length
     if beyond_side > 0.0 and beyond_end > 0.0:
-        gap, fan = direction((beyond_side, up * beyond_end, 0.0), X_AXIS)
+        gap, fan = compute_direction((beyond_side, up * beyond_end, 0.0), X_AXIS)
         point = (shape.radius * outward[0], shape.radius * outward[1], up * shape.half_length)
         return gap, point, (fan[0] * outward[0], fan[0] * outward[1], fan[1])
     if beyond_side >= beyond_end:

@@ -129,7 +129,7 @@ class _File:
         self._head, self._buffer = head, buffer
 
     def count_triangles(self, primitive: dict[str, Any]) -> int:
-        """Return the number of triangles of a part of a mesh, by its mode and the count of its accessor alone."""
+        """Return the number of triangles of a part of a mesh, from only its mode and the count of its accessor."""
         accessor = self._head["accessors"][primitive.get("indices", primitive["attributes"]["POSITION"])]
         corners, mode = int(accessor["count"]), primitive.get("mode", TRIANGLES)
         if mode not in (TRIANGLES, STRIP, TRIANGLE_FAN) or (mode == TRIANGLES and corners % 3):

@@ -25,7 +25,7 @@ _FACET_END: Final = re.compile(rb"\bendfacet\b", re.IGNORECASE)
 
 
 def read(data: bytes) -> Faces:
-    """Return the triangles of an STL file, each with corners of its own."""
+    """Return the triangles of an STL file, without shared corners."""
     count = int.from_bytes(data[80:84], "little") if len(data) >= HEAD else 0
     end = HEAD + _TRIANGLE.itemsize * count
     if len(data) >= end:  # a text has a count beyond its length there

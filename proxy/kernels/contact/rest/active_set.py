@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import INSIDE_TOLERANCE
 from softfinger.proxy.kernels.shapes.composite import NearestObject
-from softfinger.proxy.kernels.shapes.protocol import direction
+from softfinger.proxy.kernels.shapes.protocol import compute_direction
 
 SAME_SUPPORT_COSINE = 1.0 - 1e-4
 """Cosine between the normals of two support points on a height map above which they count as one."""
@@ -68,17 +68,13 @@ def add_touched(
 
     near  result of `find_deepest` at `center`
     """
-    gap, at, remaining = near
+    gap, index, remaining = near
     one, two, three = active
-    if (
-        gap > radius * (1.0 + INSIDE_TOLERANCE)
-        or three.object_index >= 0.0
-        or at == one.object_index
-        or at == two.object_index
-    ):
+    is_full_or_active = three.object_index >= 0.0 or index == one.object_index or index == two.object_index
+    if gap > radius * (1.0 + INSIDE_TOLERANCE) or is_full_or_active:
         return active, remaining
-    _, _, normal, remaining = find_closest_within(objects, at, center, remaining)
-    return add_constraint(active, at, normal), remaining
+    _, _, normal, remaining = find_closest_within(objects, index, center, remaining)
+    return add_constraint(active, index, normal), remaining
 
 
 @jit
@@ -118,26 +114,26 @@ def is_enclosed(active: ActiveSet) -> bool:
         return True
     if three.object_index < 0.0:
         return False
-    across = vec3.cross(one.normal, two.normal)
+    edge = vec3.cross(one.normal, two.normal)
     return (
         vec3.dot(one.normal, three.normal) < FACING_COSINE
         or vec3.dot(two.normal, three.normal) < FACING_COSINE
-        or abs(vec3.dot(across, three.normal)) < COPLANAR_VOLUME
+        or abs(vec3.dot(edge, three.normal)) < COPLANAR_VOLUME
     )
 
 
 @jit
-def is_same_support_point(constraint: Constraint, at: float, normal: Vec3) -> bool:
-    return at == constraint.object_index and vec3.dot(normal, constraint.normal) > SAME_SUPPORT_COSINE
+def is_same_support_point(constraint: Constraint, index: float, normal: Vec3) -> bool:
+    return index == constraint.object_index and vec3.dot(normal, constraint.normal) > SAME_SUPPORT_COSINE
 
 
 @jit
-def is_support_point_of(active: ActiveSet, at: float, normal: Vec3) -> bool:
-    """Return True if the active set already contains the point of height map `at` with this normal."""
+def is_support_point_of(active: ActiveSet, index: float, normal: Vec3) -> bool:
+    """Return True if the active set already contains the point of height map `index` with this normal."""
     return (
-        is_same_support_point(active[0], at, normal)
-        or is_same_support_point(active[1], at, normal)
-        or is_same_support_point(active[2], at, normal)
+        is_same_support_point(active[0], index, normal)
+        or is_same_support_point(active[1], index, normal)
+        or is_same_support_point(active[2], index, normal)
     )
 
 
@@ -163,5 +159,5 @@ def merge_support_points(active: ActiveSet) -> ActiveSet:
 @jit
 def merge_constraints(one: Constraint, two: Constraint) -> Constraint:
     push = vec3.add_scaled(vec3.scale(one.depth, one.normal), two.depth, two.normal)
-    depth, normal = direction(push, one.normal)
+    depth, normal = compute_direction(push, one.normal)
     return Constraint(one.object_index, normal, depth)

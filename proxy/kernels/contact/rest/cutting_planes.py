@@ -1,4 +1,4 @@
-"""Rest position of the proxy among the facets of meshes, by supporting planes.
+"""Rest position of the proxy on facets of meshes, by supporting planes.
 
 A facet, enlarged by the fingertip's radius r, is convex and entirely on one side of each of its supporting planes. So
 every point on the other side, in front, is at least r away from the facet. The anchor is the last place of the proxy
@@ -110,9 +110,8 @@ def orient_normal(objects: Any, index: float, normal: Vec3, apart: Vec3) -> Vec3
 
 
 @jit
-def solve_planes(planes: CuttingPlanes, probe: Vec3, lift: float) -> CuttingPlanes:
+def solve_planes(one: CuttingPlane, two: CuttingPlane, three: CuttingPlane, probe: Vec3, lift: float) -> CuttingPlanes:
     """Return the planes with their solution: the point nearest to the probe that is in front of all by `lift` m."""
-    one, two, three = planes.first, planes.second, planes.third
     if one.object_index < 0.0:
         return CuttingPlanes(one, two, three, probe, (0.0, 0.0, 0.0))
     count = 1
@@ -144,37 +143,40 @@ def add_plane(planes: CuttingPlanes, plane: CuttingPlane, radius: float, probe: 
     Of four planes, an old one is dropped: the one that the solution of the other three satisfies, or violates least.
     """
     one, two, three = planes.first, planes.second, planes.third
-    nowhere, nothing = probe, (0.0, 0.0, 0.0)
     if one.object_index < 0.0:
-        return solve_planes(CuttingPlanes(plane, two, three, nowhere, nothing), probe, lift)
+        return solve_planes(plane, two, three, probe, lift)
     if two.object_index < 0.0:
-        return solve_planes(CuttingPlanes(one, plane, three, nowhere, nothing), probe, lift)
+        return solve_planes(one, plane, three, probe, lift)
     if three.object_index < 0.0:
-        return solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
-    best = solve_planes(CuttingPlanes(one, two, plane, nowhere, nothing), probe, lift)
+        return solve_planes(one, two, plane, probe, lift)
+    best = solve_planes(one, two, plane, probe, lift)
     least = compute_distance_behind(three, best.center)
-    for turn in range(2):
+    for attempt in range(2):
         if least <= PLANE_TOLERANCE * radius:
             break
-        if turn == 0:
-            other = solve_planes(CuttingPlanes(one, three, plane, nowhere, nothing), probe, lift)
-            far = compute_distance_behind(two, other.center)
-        else:
-            other = solve_planes(CuttingPlanes(two, three, plane, nowhere, nothing), probe, lift)
-            far = compute_distance_behind(one, other.center)
-        if far < least:
-            best, least = other, far
+        kept, dropped = (one, two) if attempt == 0 else (two, one)
+        trial = solve_planes(kept, three, plane, probe, lift)
+        violation = compute_distance_behind(dropped, trial.center)
+        if violation < least:
+            best, least = trial, violation
     return best
+
+
+@jit
+def find_facet_under(objects: Any, index: float, x: Vec3) -> float:
+    """Return the flat index of the facet nearest to `x` (3,) m that is at most MAX_EDGES edges from facet `index`."""
+    for _ in range(MAX_EDGES):
+        neighbour = find_neighbour(objects, index, x)
+        if neighbour == index:
+            break
+        index = neighbour
+    return index
 
 
 @outlined
 def find_touching_plane(objects: Any, index: float, radius: float, anchor: Vec3) -> CuttingPlane:
     """Return the plane, at the anchor, of an object or its neighbour; NO_CUTTING_PLANE if neither is touched."""
-    for _ in range(MAX_EDGES):
-        beyond = find_neighbour(objects, index, anchor)
-        if beyond == index:
-            break
-        index = beyond
+    index = find_facet_under(objects, index, anchor)
     plane = find_supporting_plane(objects, index, radius, anchor, anchor)
     return NO_CUTTING_PLANE if vec3.dot(plane.normal, anchor) - plane.offset > TOUCH_DISTANCE * radius else plane
 
@@ -197,7 +199,8 @@ def find_planes(objects: Any, radius: float, anchor: Vec3, active: Vec3) -> Cutt
 
 
 @jit
-def list_bodies(planes: CuttingPlanes) -> Vec3:
+def list_plane_objects(planes: CuttingPlanes) -> Vec3:
+    """Return the flat indices of the objects of the planes, -1 for none."""
     return planes.first.object_index, planes.second.object_index, planes.third.object_index
 
 
@@ -243,7 +246,7 @@ def step_towards(
     nearest  True to add the plane of an obstructing facet nearest to the obstructed point, which is exact on flat
              surfaces; False for that nearest to the anchor: round a convex edge, only this allows the full path
     """
-    planes = solve_planes(planes, probe, 0.0)
+    planes = solve_planes(planes.first, planes.second, planes.third, probe, 0.0)
     center, is_clear, clipped, lift, budget_at_start = anchor, False, False, 0.0, budget
     reserve = budget // 4  # reserve for the halvings
     budget -= reserve
@@ -254,27 +257,29 @@ def step_towards(
         clipped = length > MAX_STRIDE * radius
         if clipped:
             center = vec3.add_scaled(anchor, MAX_STRIDE * radius / length, path)
-        gap, at, budget = find_deepest(objects, center, radius, list_bodies(planes), budget)
+        gap, index, budget = find_deepest(objects, center, radius, list_plane_objects(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
-        if budget < 0 or at < 0.0:
+        if budget < 0 or index < 0.0:
             break
-        plane = find_supporting_plane(objects, at, radius, anchor, center if nearest else anchor)
+        plane = find_supporting_plane(objects, index, radius, anchor, center if nearest else anchor)
         if gap > radius * (1.0 - LIFT_DEPTH) and (added >= LIFT_AFTER or 2 * budget < budget_at_start):
             lift = 2.0 * (radius - gap)
         one, two, three = planes.first, planes.second, planes.third
-        if at == one.object_index:
+        if index == one.object_index:
             one = plane
-        elif at == two.object_index:
+        elif index == two.object_index:
             two = plane
-        elif at == three.object_index:
+        elif index == three.object_index:
             three = plane
         else:
             planes = add_plane(planes, plane, radius, probe, lift)
             continue
-        planes = solve_planes(CuttingPlanes(one, two, three, center, planes.push), probe, lift)
-    active, is_late = make_constraints(planes if lift == 0.0 else solve_planes(planes, probe, 0.0)), budget < 0
+        planes = solve_planes(one, two, three, probe, lift)
+    if lift != 0.0:
+        planes = solve_planes(planes.first, planes.second, planes.third, probe, 0.0)
+    active, is_late = make_constraints(planes), budget < 0
     budget = max(budget, 0) + reserve
     if is_clear:
         return Rest(center, active, clipped, budget)
@@ -285,11 +290,11 @@ def step_towards(
         if budget < 0:
             break
         path = vec3.scale(0.5, path)
-        gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_bodies(planes), budget)
+        gap, _, budget = find_deepest(objects, vec3.add(anchor, path), radius, list_plane_objects(planes), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return Rest(vec3.add(anchor, path), active, True, NO_BUDGET if is_late else budget)
     # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
-    gap, _, budget = find_deepest(objects, anchor, radius, list_bodies(planes), budget)
+    gap, _, budget = find_deepest(objects, anchor, radius, list_plane_objects(planes), budget)
     if budget < 0 or gap >= radius * (1.0 - INSIDE_TOLERANCE) or not is_enclosed(active):
         return Rest(anchor, active, True, NO_BUDGET if is_late else budget)
     return Rest(center, active, False, budget)
@@ -298,18 +303,18 @@ def step_towards(
 @outlined
 def settle_by_planes(objects: Any, radius: float, probe: Vec3, anchor: Vec3, active: ActiveSet, budget: int) -> Rest:
     """Move the proxy from the anchor, where it is outside, to rest. Each step ends outside and closer to the probe."""
-    stand, nearest = Rest(anchor, active, True, budget), True
+    rest, nearest = Rest(anchor, active, True, budget), True
     for _ in range(MAX_STEPS):
-        planes = find_planes(objects, radius, stand.center, list_objects(stand.active))
-        before = stand.center
-        stand = step_towards(objects, radius, probe, before, planes, nearest, stand.budget)
-        if stand.budget < 0 or (not stand.is_late and is_touching_all(objects, stand.active, radius, stand.center)):
+        planes = find_planes(objects, radius, rest.center, list_objects(rest.active))
+        before = rest.center
+        rest = step_towards(objects, radius, probe, before, planes, nearest, rest.budget)
+        if rest.budget < 0 or (not rest.is_late and is_touching_all(objects, rest.active, radius, rest.center)):
             break
-        if not stand.is_late or vec3.norm(vec3.sub(stand.center, before)) <= REST_STEP * radius:
+        if not rest.is_late or vec3.norm(vec3.sub(rest.center, before)) <= REST_STEP * radius:
             if not nearest:
                 break
             nearest = False
-    return stand
+    return rest
 
 
 @jit
@@ -330,5 +335,5 @@ def solve_tangent_planes(
     Returns the active set with its new depths, and the point (3,) m nearest to the probe in front of these planes.
     """
     one, two, three = map_each(find_tangent_plane, (active,), objects, radius, center)
-    planes = solve_planes(CuttingPlanes(one, two, three, center, (0.0, 0.0, 0.0)), probe, 0.0)
+    planes = solve_planes(one, two, three, probe, 0.0)
     return make_constraints(planes), planes.center

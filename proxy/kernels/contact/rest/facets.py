@@ -3,7 +3,7 @@
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import make_active_set
-from softfinger.proxy.kernels.contact.rest.cutting_planes import MAX_EDGES, REST_STEP, Rest, solve_tangent_planes
+from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP, Rest, find_facet_under, solve_tangent_planes
 from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLIDING_ROUNDS, SAME_SIDE_COSINE
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
@@ -11,20 +11,9 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
-from softfinger.proxy.kernels.query.objects import find_closest_within, find_neighbour
+from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
-from softfinger.proxy.kernels.shapes.protocol import direction, turn_along
-
-
-@jit
-def find_facet_under(objects: Any, index: float, x: Vec3) -> float:
-    """Return the flat index of the facet nearest to `x` (3,) m, reached from facet `index` over at most EDGES edges."""
-    for _ in range(MAX_EDGES):
-        neighbour = find_neighbour(objects, index, x)
-        if neighbour == index:
-            break
-        index = neighbour
-    return index
+from softfinger.proxy.kernels.shapes.protocol import compute_direction, turn_along
 
 
 @jit
@@ -56,9 +45,9 @@ def is_on_mesh(objects: Any, active: ActiveSet) -> bool:
 
 @jit
 def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
-    """Return the constraints of a proxy at rest, on meshes those of the facets under it (`move_constraint_over_edge`).
+    """Return the constraints of a proxy at rest; on meshes, of the facets under it (`move_constraint_over_edge`).
 
-    After a search, the planes may be those before the last motion of the proxy. On meshes they are replaced, unless the
+    After a search, the planes may be from before the last motion of the proxy. On meshes they are replaced, unless the
     probe is deeper than `DEEP_SHARE`: there, the force would change by more than the proxy moves. With a height map
     they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
@@ -97,7 +86,7 @@ def roll_over_edge(
     on_both = compute_share_of_tick(vec3.sub(rolled.normal, start.normal), rate)
     on_next = min(compute_share_of_tick(vec3.sub(rolled.normal, normal), rate), on_both)
     share = 0.5 * (on_both + on_next)
-    _, mean = direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
+    _, mean = compute_direction(vec3.add_scaled(vec3.scale(1.0 - share, start.normal), share, normal), normal)
     flat = roll_flat_on(method, objects, facet, radius, mean, turn)
     _, point, normal, _ = find_closest_within(objects, facet, vec3.add(start.center, flat.motion), BUDGET)
     center, motion = vec3.add_scaled(point, radius, normal), turn_along(flat.motion, mean, normal)
@@ -120,7 +109,7 @@ def slide_over_facets(
 ) -> tuple[Vec3, ActiveSet, bool]:
     """Slide over the facets of a mesh as `rest_on_curved` does.
 
-    Return the center of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
+    Return the centre of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
     need further steps.
     """
     rounds, square = MAX_SLIDING_ROUNDS, 0.0

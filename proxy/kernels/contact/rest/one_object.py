@@ -12,7 +12,7 @@ from softfinger.proxy.kernels.query.objects import find_closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
 from softfinger.proxy.kernels.shapes.any_shape import UP
 from softfinger.proxy.kernels.shapes.budget import SETTLED_STEP
-from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, KernelSlot, called
+from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, KernelSlot, call_kernel
 
 MAX_ROUNDS = 10
 """Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
@@ -52,7 +52,7 @@ def rest_on_any(
     if shape.surface >= FLAT:
         return rest_on_plane(shape, pose, radius, probe, center, deflection, normal)
     if shape.kernels[REST] != 0:
-        return called(shape, REST, NO_REST, (pose, radius, probe, center, deflection, normal))
+        return call_kernel(shape, REST, NO_REST, (pose, radius, probe, center, deflection, normal))
     return rest_on_curved(shape, pose, radius, probe, center, deflection, normal)
 
 

@@ -31,13 +31,13 @@ def choose_linearisation_point(inside: bool, center: Vec3, base: Vec3, p: float,
 
 @jit
 def find_half_space(
-    objects: Any, index: float, at: Vec3, radius: float, base: Vec3, normal: Vec3, budget: int
+    objects: Any, index: float, x: Vec3, radius: float, base: Vec3, normal: Vec3, budget: int
 ) -> tuple[Vec3, float, int]:
-    """Return normal and bound (m) of the tangent plane of an object at `at` (3,) m, relative to `base`.
+    """Return normal and bound (m) of the tangent plane of an object at `x` (3,) m, relative to `base`.
 
     Also returns the remaining budget.
     """
-    point, normal, budget = find_constraint(objects, index, at, radius, normal, budget)
+    point, normal, budget = find_constraint(objects, index, x, radius, normal, budget)
     return normal, vec3.dot(normal, vec3.sub(point, base)) + radius, budget
 
 
@@ -70,21 +70,21 @@ def project_until_rest(
         and is_world_plane(objects, three.object_index)
     )
     p1, p2, p3 = 0.0, 0.0, 0.0
-    for turn in range(rounds):
-        at = choose_linearisation_point(inside1, center, base, p2, n2, p3, n3)
-        n1, b1, budget = find_half_space(objects, one.object_index, at, radius, base, n1, budget)
+    for round_index in range(rounds):
+        x = choose_linearisation_point(inside1, center, base, p2, n2, p3, n3)
+        n1, b1, budget = find_half_space(objects, one.object_index, x, radius, base, n1, budget)
         b2, b3 = b1, b1
         if two.object_index < 0.0:
             n2 = n1
         else:
-            at = choose_linearisation_point(inside2, center, base, p1, n1, p3, n3)
-            n2, b2, budget = find_half_space(objects, two.object_index, at, radius, base, n2, budget)
+            x = choose_linearisation_point(inside2, center, base, p1, n1, p3, n3)
+            n2, b2, budget = find_half_space(objects, two.object_index, x, radius, base, n2, budget)
         if three.object_index < 0.0:
             n3 = n1
         else:
-            at = choose_linearisation_point(inside3, center, base, p1, n1, p2, n2)
-            n3, b3, budget = find_half_space(objects, three.object_index, at, radius, base, n3, budget)
-        if hollow and turn == 0 and rounds > 1:  # displacements by single constraints are a good start
+            x = choose_linearisation_point(inside3, center, base, p1, n1, p2, n2)
+            n3, b3, budget = find_half_space(objects, three.object_index, x, radius, base, n3, budget)
+        if hollow and round_index == 0 and rounds > 1:  # displacements by single constraints are a good start
             p1 = max(b1, 0.0)
             p2 = 0.0 if two.object_index < 0.0 else max(b2, 0.0)
             p3 = 0.0 if three.object_index < 0.0 else max(b3, 0.0)
@@ -93,7 +93,7 @@ def project_until_rest(
         p1, p2, p3 = weights
         last, center = center, vec3.add(base, vec3.weighted_sum(weights, n1, n2, n3))
         step = vec3.sub(center, last)
-        square = 0.0 if flat else vec3.dot(step, step)  # planes do not turn: the solution is exact
+        square = 0.0 if flat else vec3.dot(step, step)  # the objects are planes: the solution is exact
         if square <= tolerance:
             break
     constraints = (

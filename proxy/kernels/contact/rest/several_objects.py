@@ -55,7 +55,7 @@ MAX_OBSTACLES = 16
 def settle_among_several(
     objects: Any, radius: float, probe: Vec3, start: Vec3, center: Vec3, active: ActiveSet, budget: int
 ) -> Rest:
-    """Return the rest position of the proxy among several objects, without friction.
+    """Return the rest position of the proxy on several objects, without friction.
 
     start   (3,) m  start of its path in this tick, for the detection of obstacles: see `find_first_hit`
     center  (3,) m  proxy, after the motion of the objects that support it
@@ -68,7 +68,7 @@ def settle_among_several(
     """
     if has_creases_near(objects):
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
-    reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # covers the path to rest
+    reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # the path of the proxy
     if not isinstance(objects.search, SmoothSearch) and is_near_mesh(objects, center, reach):
         return settle_on_facets(objects, radius, probe, center, active, budget)
     return settle_for(objects, radius, probe, start, center, active, budget)
@@ -105,27 +105,25 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     slower. The path needs no sweep for obstacles: with a mesh, no step is longer than `is_safe_step` allows.
     """
     center = vec3.add(probe, sum_displacements(active))
-    center, support, moved, budget = project_until_rest(objects, radius, probe, center, active, MAX_ROUNDS, budget)
+    center, support, step, budget = project_until_rest(objects, radius, probe, center, active, MAX_ROUNDS, budget)
     on_nearest = False
-    for turn in range(MAX_EDGES + 1):
+    for crossed in range(MAX_EDGES + 1):
         index, is_single = support[0].object_index, support[1].object_index < 0.0
         neighbour = find_neighbour(objects, index, center) if is_single else index
         on_nearest = neighbour == index
-        if on_nearest or turn == MAX_EDGES:
+        if on_nearest or crossed == MAX_EDGES:
             break
         support = make_single_constraint(neighbour, support[0].normal, 0.0)
-        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, MAX_ROUNDS, budget)
-    if (
-        support[1].object_index < 0.0 and moved > SETTLED_STEP * radius
-    ):  # the last round may have moved from an edge onto the face
-        center, support, moved, budget = project_until_rest(objects, radius, probe, center, support, 1, budget)
+        center, support, step, budget = project_until_rest(objects, radius, probe, center, support, MAX_ROUNDS, budget)
+    if support[1].object_index < 0.0 and step > SETTLED_STEP * radius:  # perhaps from an edge onto the face
+        center, support, step, budget = project_until_rest(objects, radius, probe, center, support, 1, budget)
     to_proxy, to_anchor = vec3.sub(center, probe), vec3.sub(anchor, probe)
     is_nearer = (
         vec3.dot(to_proxy, to_proxy)
         <= (1.0 + INSIDE_TOLERANCE) * vec3.dot(to_anchor, to_anchor) + (REST_STEP * radius) ** 2
     )
     # Beyond the edge of a facet its plane is tilted. The gap does not show that: it changes by the square of the tilt.
-    if moved <= REST_STEP * radius and on_nearest and is_nearer and is_safe_step(anchor, center, radius):
+    if step <= REST_STEP * radius and on_nearest and is_nearer and is_safe_step(anchor, center, radius):
         gap, _, budget = find_deepest(objects, center, radius, list_objects(support), budget)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             return Rest(center, sort_by_load(objects, support), False, budget)
@@ -143,25 +141,24 @@ def settle_for(
     is_creased = has_creases_near(objects)
     rounds = MAX_SLIDING_ROUNDS if is_creased else MAX_ROUNDS
     last_center, last_active = center, active
-    goal = vec3.add(probe, sum_displacements(active))
+    center = vec3.add(probe, sum_displacements(active))
     for _ in range(4):
-        hit, stop, remaining = find_first_hit(objects, start, goal, radius, True, list_objects(active), remaining)
+        hit, stop, remaining = find_first_hit(objects, start, center, radius, True, list_objects(active), remaining)
         if hit < 0.0:
             break
         _, point, normal, remaining = find_closest_within(objects, hit, stop, remaining)
         if count_constraints(active) == 3:
             # Already three constraints: stop at the fourth, and continue in the next tick.
-            goal = stop
+            center = stop
             break
         active = add_constraint(active, hit, normal)
-        goal, active, _, remaining = project_until_rest(
+        center, active, _, remaining = project_until_rest(
             objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, remaining
         )
-    center = goal
     if not is_creased:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
-        near = find_deepest(objects, goal, radius * (1.0 + INSIDE_TOLERANCE), list_objects(active), remaining)
-        active, remaining = add_touched(objects, radius, goal, active, near)
+        near = find_deepest(objects, center, radius * (1.0 + INSIDE_TOLERANCE), list_objects(active), remaining)
+        active, remaining = add_touched(objects, radius, center, active, near)
     is_clear, lift, budget = False, 0.0, remaining
     for attempt in range(MAX_OBSTACLES):
         center, active, _, remaining = project_until_rest(
@@ -169,7 +166,7 @@ def settle_for(
         )
         if is_creased and attempt == 0:
             center, active = step_over(objects, radius, probe, center, active)
-        gap, at, remaining = find_deepest(objects, center, radius, list_objects(active), remaining)
+        gap, index, remaining = find_deepest(objects, center, radius, list_objects(active), remaining)
         if gap >= radius * (1.0 - INSIDE_TOLERANCE):
             is_clear = True
             break
@@ -177,16 +174,16 @@ def settle_for(
             break
         if gap > radius * (1.0 - LIFT_DEPTH) and (attempt >= LIFT_AFTER or 4 * remaining < 3 * budget):
             lift = 2.0 * (radius - gap)
-        is_new = at != active[0].object_index and at != active[1].object_index and at != active[2].object_index
+        is_new = index != active[0].object_index and index != active[1].object_index and index != active[2].object_index
         if is_new or is_creased:
-            _, _, normal, remaining = find_closest_within(objects, at, center, remaining)
-            if is_new or (has_creases_at(objects, at) and not is_support_point_of(active, at, normal)):
+            _, _, normal, remaining = find_closest_within(objects, index, center, remaining)
+            if is_new or (has_creases_at(objects, index) and not is_support_point_of(active, index, normal)):
                 if count_constraints(active) == 3:
                     active, remaining = replace_constraint(
-                        objects, radius + lift, probe, center, active, at, normal, remaining
+                        objects, radius + lift, probe, center, active, index, normal, remaining
                     )
                 else:
-                    active = add_constraint(active, at, normal)
+                    active = add_constraint(active, index, normal)
     is_late = not is_clear
     if not is_clear:
         # Pinched only if objects have enclosed the proxy; otherwise it does not move, and the next tick continues.
@@ -206,16 +203,16 @@ def replace_constraint(
 ) -> tuple[ActiveSet, int]:
     """Return the active set with a fourth constraint instead of one of three, and the remaining budget.
 
-    It replaces the constraint that the solution of the others satisfies, or violates least. The weakest constraint may
-    be needed: the search would then never end.
+    It replaces the constraint that the solution of the other three satisfies, or violates least. If it replaced the
+    weakest one, which may be needed, the search might never end.
     """
     one, two, three = active
     best, least = active, NO_GAP
-    for turn in range(3):
-        dropped = one if turn == 0 else two if turn == 1 else three
-        trial = two if turn == 0 else one, two if turn == 2 else three, Constraint(index, normal, dropped.depth)
-        at, trial, _, budget = project_until_rest(objects, radius, probe, center, trial, 1, budget)
-        violation = vec3.dot(dropped.normal, vec3.sub(center, at))
+    for attempt in range(3):
+        dropped = one if attempt == 0 else two if attempt == 1 else three
+        trial = two if attempt == 0 else one, two if attempt == 2 else three, Constraint(index, normal, dropped.depth)
+        trial_center, trial, _, budget = project_until_rest(objects, radius, probe, center, trial, 1, budget)
+        violation = vec3.dot(dropped.normal, vec3.sub(center, trial_center))
         if violation < least:
             best, least = trial, violation
     return best, budget

@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import AnyShape, Cylinder, Facet, Plane, Qua
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import unroll
-from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, KernelSlot, called
+from softfinger.proxy.kernels.shapes.kernel_table import SLOTS, UNROLL, KernelSlot, call_kernel
 
 
 @jit
@@ -80,7 +80,7 @@ SLOTS[UNROLL] = KernelSlot(unroll, (0.0, ZERO, ZERO, ZERO), NO_ROLL)
 
 @unroll.of(AnyShape)
 def unroll_on_any(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> Roll:
-    return called(shape, UNROLL, NO_ROLL, (radius, center, normal, w))
+    return call_kernel(shape, UNROLL, NO_ROLL, (radius, center, normal, w))
 
 
 @unroll.of(Facet)

@@ -17,7 +17,7 @@ from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quatern
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
-from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, KernelSlot, called
+from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, KernelSlot, call_kernel
 
 SLOTS[AHEAD] = KernelSlot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
 
@@ -25,7 +25,7 @@ SLOTS[AHEAD] = KernelSlot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
 @ahead.of(AnyShape)
 def any_ahead(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
     if shape.kernels[AHEAD] != 0:
-        return called(shape, AHEAD, ZERO, (radius, center, normal, along, length))
+        return call_kernel(shape, AHEAD, ZERO, (radius, center, normal, along, length))
     return round_ahead(shape, radius, center, normal, along, length)
 
 

@@ -135,34 +135,34 @@ def integrate(shape: Any, radius: float, center: Vec3, normal: Vec3, w: Vec3, to
     allowed, budget = tolerance * radius, BUDGET_OF_A_ROLL
     k1 = compute_center_velocity(rewind_shape(shape, w, 1.0), radius, w, n)
     for trial in range(MAX_TRIALS):
-        begun = vec3.add_scaled(center, -radius, n)
+        start_point = vec3.add_scaled(center, -radius, n)
         shortest = remaining / (MAX_TRIALS - trial) if trial >= MAX_TRIALS // 2 else 0.0
         h = min(max(h, shortest), remaining)
         then = rewind_shape(shape, w, remaining - 1 / 5 * h)
-        _, n2, budget = find_foot(then, vec3.add_scaled(center, h / 5, k1), begun, budget)
+        _, n2, budget = find_foot(then, vec3.add_scaled(center, h / 5, k1), start_point, budget)
         k2 = compute_center_velocity(then, radius, w, n2)
         slope = combine(3 / 40, k1, 9 / 40, k2)
         then = rewind_shape(shape, w, remaining - 3 / 10 * h)
-        _, n3, budget = find_foot(then, vec3.add_scaled(center, h, slope), begun, budget)
+        _, n3, budget = find_foot(then, vec3.add_scaled(center, h, slope), start_point, budget)
         k3 = compute_center_velocity(then, radius, w, n3)
         slope = vec3.add_scaled(combine(44 / 45, k1, -56 / 15, k2), 32 / 9, k3)
         then = rewind_shape(shape, w, remaining - 4 / 5 * h)
-        _, n4, budget = find_foot(then, vec3.add_scaled(center, h, slope), begun, budget)
+        _, n4, budget = find_foot(then, vec3.add_scaled(center, h, slope), start_point, budget)
         k4 = compute_center_velocity(then, radius, w, n4)
         slope = vec3.add(
             combine(19372 / 6561, k1, -25360 / 2187, k2), combine(64448 / 6561, k3, -212 / 729, k4)
         )  # fmt: skip
         then = rewind_shape(shape, w, remaining - 8 / 9 * h)
-        _, n5, budget = find_foot(then, vec3.add_scaled(center, h, slope), begun, budget)
+        _, n5, budget = find_foot(then, vec3.add_scaled(center, h, slope), start_point, budget)
         k5 = compute_center_velocity(then, radius, w, n5)
         slope = vec3.add(combine(9017 / 3168, k1, -355 / 33, k2), combine(46732 / 5247, k3, 49 / 176, k4))
         slope = vec3.add_scaled(slope, -5103 / 18656, k5)
         then = rewind_shape(shape, w, remaining - h)
-        _, n6, budget = find_foot(then, vec3.add_scaled(center, h, slope), begun, budget)
+        _, n6, budget = find_foot(then, vec3.add_scaled(center, h, slope), start_point, budget)
         k6 = compute_center_velocity(then, radius, w, n6)
         slope = vec3.add(combine(35 / 384, k1, 500 / 1113, k3), combine(125 / 192, k4, -2187 / 6784, k5))
         slope = vec3.add_scaled(slope, 11 / 84, k6)
-        point, n7, budget = find_foot(then, vec3.add_scaled(center, h, slope), begun, budget)
+        point, n7, budget = find_foot(then, vec3.add_scaled(center, h, slope), start_point, budget)
         k7 = compute_center_velocity(then, radius, w, n7)
         if budget < 0:
             break

@@ -14,7 +14,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Box, CappedCylinder, Capsule, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import transport, unroll
-from softfinger.proxy.kernels.shapes.protocol import direction
+from softfinger.proxy.kernels.shapes.protocol import compute_direction
 
 ToRim = tuple[float, Vec3, Vec3, float]
 
@@ -91,7 +91,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
     cap = 0.0 if beyond <= 0.0 else (1.0 if center[2] > 0.0 else -1.0)
     z, n = min(max(center[2], -shape.half_length), shape.half_length), normal
     if cap == 0.0:
-        _, n = direction((n[0], n[1], 0.0), normal)
+        _, n = compute_direction((n[0], n[1], 0.0), normal)
     motion, spin, remaining = (0.0, 0.0, 0.0), 0.0, 1.0
     for _ in range(MAX_PIECES):
         time, to = 0.0, 0.0
@@ -113,7 +113,7 @@ def unroll_on_capsule(shape: Capsule, radius: float, center: Vec3, normal: Vec3,
             break
         remaining -= time
         z, cap = (to * shape.half_length, to) if cap == 0.0 else (z, 0.0)
-        _, n = direction((n[0], n[1], 0.0), n)
+        _, n = compute_direction((n[0], n[1], 0.0), n)
     end = vec3.add_scaled((0.0, 0.0, cap * shape.half_length if cap != 0.0 else z), distance, n)
     center, n = land(shape, radius, end)
     return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
@@ -161,7 +161,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
         min(max(center[1], -h[1]), h[1]),
         min(max(center[2], -h[2]), h[2]),
     )
-    _, n = direction(vec3.sub(center, point), normal)
+    _, n = compute_direction(vec3.sub(center, point), normal)
     sides = (
         1.0 if n[0] > 0.0 else (-1.0 if n[0] < 0.0 else 0.0),
         1.0 if n[1] > 0.0 else (-1.0 if n[1] < 0.0 else 0.0),
@@ -187,7 +187,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
             break
         remaining -= time
         if side == 0.0:
-            _, n = direction(with_item(n, axis, 0.0), n)
+            _, n = compute_direction(with_item(n, axis, 0.0), n)
         else:
             point = with_item(point, axis, side * h[axis])
         sides = with_item(sides, axis, side)
@@ -198,7 +198,7 @@ def unroll_on_box(shape: Box, radius: float, center: Vec3, normal: Vec3, w: Vec3
 @jit
 def roll_to_rim_over_barrel(shape: CappedCylinder, radius: float, center: Vec3, normal: Vec3, w: Vec3) -> ToRim:
     """Return the share of the tick, at most 1, until a path on the barrel is at the rim; centre, motion, spin there."""
-    distance, (_, n) = radius + shape.radius, direction((normal[0], normal[1], 0.0), normal)
+    distance, (_, n) = radius + shape.radius, compute_direction((normal[0], normal[1], 0.0), normal)
     share = compute_turning_share(radius, distance)
     time = min(compute_barrel_exit(shape.half_length, center[2], share, radius, n, w)[0], 1.0)
     n, motion, spin = roll_over_cylinder(radius, share, (0.0, 0.0, 1.0), n, vec3.scale(time, w))
@@ -230,6 +230,6 @@ def unroll_on_capped_cylinder(shape: CappedCylinder, radius: float, center: Vec3
     center, n = land(shape, radius, end)
     if time >= 1.0:
         return Roll(center, n, motion, vec3.norm(motion) / radius, spin, True)
-    rest = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
-    motion = vec3.add(transport(shape, motion, n, rest.normal), rest.motion)
-    return Roll(rest.center, rest.normal, motion, vec3.norm(motion) / radius, spin + rest.spin, True)
+    remainder = integrate(shape, radius, center, n, vec3.scale(1.0 - time, w), RIM_TOLERANCE)
+    motion = vec3.add(transport(shape, motion, n, remainder.normal), remainder.motion)
+    return Roll(remainder.center, remainder.normal, motion, vec3.norm(motion) / radius, spin + remainder.spin, True)

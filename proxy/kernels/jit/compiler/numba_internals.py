@@ -8,7 +8,7 @@ forceinline              A small kernel is compiled into its callers. Without: a
 no_cpython_wrapper, no_cfunc_wrapper
                          Kernels called only by kernels have no wrapper. Without: a scene compiles for 1.6 times as
                          long.
-CPUDispatcher.compile and what it uses: overloads, _compiler, _compiling_counter, insert_user_function, trigger_event
+CPUDispatcher.compile and its members: overloads, _compiler, _compiling_counter, insert_user_function, trigger_event
                          Such a kernel is compiled without timers of locks. Without: a scene compiles for 1.06 times as
                          long.
 get_call_template        Its arguments are not literals. Without: it is compiled again for each literal, in ten places
@@ -32,8 +32,8 @@ RETCODE_OK (in `convention.py`), Compiler.define_pipelines, enable_object_cachin
 FunctionPass, _definitions, build_definitions, compute_cfg_from_blocks, simplify_CFG (in `passes.py`)
                          `isinstance` of arguments is evaluated before type inference. Without: it does not compile.
 PassManager, _runPass, _analysis, DefaultPassBuilder and its passes (in `passes.py`)
-                         Such a kernel is compiled without timers and checks of each pass, and without those that have
-                         no effect in it. Without: 11 % more calls.
+                         Such a kernel is compiled without timers and checks of each pass, and without passes that
+                         have no effect in it. Without: 11 % more calls.
 PostProcessor, canonicalize_cfg, TranslateByteCode, Interpreter.post_process and its peepholes (all in `passes.py`),
 CompilerBase.__init__, refresh
                          Lifetimes of variables, `with` and new registrations are not searched for in such a kernel.
@@ -202,7 +202,7 @@ LARGE_CALLEE_RATIO: Final = 10
 
 
 class UnitCode(JITCodeLibrary):  # type: ignore[misc]
-    """Machine code of a kernel that Python or C calls, and of those that are compiled into it."""
+    """Machine code of a kernel that Python or C calls, with the kernels that are compiled into it."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -236,12 +236,12 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         super().finalize()
 
     def add_llvm_module(self, ll_module: Any) -> None:
-        """Store the code of the kernel: its passes are those of `_optimize_final_module`."""
+        """Store the code of the kernel, which only `_optimize_final_module` optimises."""
         ll_module.data_layout = self._codegen._data_layout
         self._final_module = ll_module
 
     def _optimize_final_module(self) -> None:
-        """Once, and lightly: its callers are optimised again, with what is inlined. Twice takes 1.14 times as long.
+        """Once, and lightly: its callers are optimised again, with the inlined code. Twice takes 1.14 times as long.
 
         If nearly all of the code is that of callees, which are optimised, the kernel is left to its callers.
         """
@@ -286,7 +286,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
             signature=signature,
             objectmode=False,
             entry_point=context.get_executable(library, described, environment),
-            referenced_envs=rest[-1],  # the result keeps them alive
+            referenced_envs=rest[-1],  # so they exist as long as the result
         )
 
     @property
@@ -389,7 +389,7 @@ class InlinedKernel:
         return self._from_python(*args)
 
     def __reduce__(self) -> Any:
-        """Pickle the dispatcher: the key of a cached kernel includes those in its closure."""
+        """Pickle the dispatcher: the key of a cached kernel includes the kernels in its closure."""
         return self.dispatcher.__reduce__()
 
 

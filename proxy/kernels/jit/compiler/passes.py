@@ -1,4 +1,4 @@
-"""Passes that compile a kernel which is called only by kernels: those of numba, less what has no effect in it.
+"""Passes that compile a kernel which is called only by kernels: those of numba that have an effect in it.
 
 `numba_internals.py` uses this module and lists the undocumented parts of numba.
 """
@@ -89,7 +89,7 @@ class BriefPostProcessor(PostProcessor):  # type: ignore[misc]
 
 
 class UncheckedPasses(PassManager):  # type: ignore[misc]
-    """Pass manager that neither times nor checks the passes, and skips those without effect."""
+    """Pass manager that neither times nor checks the passes, and skips passes without effect."""
 
     def _runPass(self, index: int, each: Any, state: Any) -> None:
         if isinstance(each, UNUSED_STRAIGHT_PASSES) and is_straight(state.func_ir):
@@ -132,7 +132,7 @@ class KernelTranslation(TranslateByteCode):  # type: ignore[misc]
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class StaticConditions(FunctionPass):  # type: ignore[misc]
-    """Pass that evaluates `is None` and `isinstance` of arguments and of their fields, and removes what is not reached.
+    """Pass that evaluates `is None` and `isinstance` of arguments and of their fields, and removes unreached code.
 
     So a scene compiles only the code of the parts it has. numba itself removes only branches for arguments that are
     None, and cannot compile `isinstance` of a named tuple.
@@ -178,7 +178,7 @@ def _condition(code: Any, arguments: Any, expression: Any) -> bool | None:
 
 
 def _only(code: Any, variable: Any) -> Any:
-    """Return what is assigned to a variable; None if there are several assignments."""
+    """Return the value assigned to a variable; None if there are several assignments."""
     made = code._definitions[variable.name]
     return made[0] if len(made) == 1 else None
 
@@ -201,7 +201,7 @@ def _static_type(code: Any, arguments: Any, variable: Any) -> Any:
 
 
 def _condition_of(code: Any, block: Any) -> Any:
-    """Return what is assigned to the condition of the branch at the end of a block; None without one."""
+    """Return the value assigned to the condition of the branch at the end of a block; None without one."""
     if not isinstance(block.terminator, ir.Branch):
         return None
     called = _only(code, block.terminator.cond)  # bool(condition)

@@ -1,7 +1,7 @@
 """Progress of compilation and loading of kernels, for the status line of a waiting user.
 
-Imports nothing of the compiler: a program that only waits for another does not need it. A thread that compiles or loads
-holds numba's lock, so there is one writer; a reader in another thread gets one state or the next.
+Imports nothing of the compiler: a program that only waits for another does not need it. Only the
+thread with numba's lock writes; a reader in another thread gets one state or the next.
 """
 
 from __future__ import annotations

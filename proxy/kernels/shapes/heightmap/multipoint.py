@@ -34,8 +34,8 @@ from softfinger.proxy.kernels.shapes.protocol import (
     MAX_ADVANCES,
     NO_HIT,
     TOUCHING_CLEARANCE,
+    compute_direction,
     curvature,
-    direction,
     follows,
     meets,
     rest_on,
@@ -130,7 +130,7 @@ def rest_on_support_points(
     rest, up, slides = center, normal, lag != (0.0, 0.0, 0.0)
     budget, budget_exhausted = REST_BUDGET, 0.0
     feet = SupportPoints(1, vec3.add_scaled(center, -radius, normal), center, center)
-    for turn in range(MAX_CREASE_ROUNDS):
+    for iteration in range(MAX_CREASE_ROUNDS):
         _, p1, n1, _, cost = find_foot_from(shape, center, feet.first)
         budget -= cost
         p2, n2, p3, n3 = p1, n1, p1, n1
@@ -143,15 +143,14 @@ def rest_on_support_points(
             budget -= cost
         feet = SupportPoints(feet.point_count, p1, p2, p3)
         clear = True
-        if turn > 0:
+        if iteration > 0:
             gap, nearest_point, nearest_normal, _, cost = find_nearest_from(shape, center, p1, budget)
             budget -= cost
             clear = gap >= radius * (1.0 - INSIDE_TOLERANCE)
             if budget <= 0 and not clear:
                 budget_exhausted = 1.0
-                if vec3.norm(vec3.sub(rest, nearest_point)) < radius * (
-                    1.0 - SAME_POINT_DISTANCE
-                ):  # the start was inside: move up and out
+                is_inside = vec3.norm(vec3.sub(rest, nearest_point)) < radius * (1.0 - SAME_POINT_DISTANCE)
+                if is_inside:  # the start was inside: move up and out
                     rest = find_point_above(shape, rest, radius)
                 break
             if not clear and not is_support_point(feet, nearest_point, SAME_POINT_DISTANCE * radius):
@@ -164,9 +163,9 @@ def rest_on_support_points(
             push, target = n1, step_on_one_point(shape, radius, goal, p1, n1)
         else:
             push, target = solve_support_points(feet, radius, goal, n1, n2, n3)
-        if turn > 0 and clear:
+        if iteration > 0 and clear:
             rest = center
-            _, up = direction(push, n1)
+            _, up = compute_direction(push, n1)
         target = vec3.add(rest, clamp_length(vec3.sub(target, rest), MAX_STRIDE * radius))
         if feet.point_count == 1:
             _, p1, n1, _, cost = find_foot_from(shape, target, p1)
@@ -175,7 +174,7 @@ def rest_on_support_points(
             if vec3.norm(vec3.sub(landed, rest)) <= radius:
                 target = landed
         step = vec3.norm(vec3.sub(target, center))
-        if turn > 0 and clear and (step <= SETTLED_STEP * radius or (slides and turn >= FIRST_SLIDING_ROUND)):
+        if iteration > 0 and clear and (step <= SETTLED_STEP * radius or (slides and iteration >= FIRST_SLIDING_ROUND)):
             break
         center = target
     return rest, up, budget_exhausted
@@ -202,48 +201,44 @@ def raised_clear_of_heightmap(shape: Heightmap, x: Vec3, radius: float) -> Vec3:
 
 @meets.of(Heightmap)
 def meets_heightmap(
-    shape: Heightmap, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+    shape: Heightmap, start: Vec3, end: Vec3, radius: float, in_contact: bool, budget: int
 ) -> tuple[float, float, int]:
     """Use conservative advancement as `travel` does, but search only as far as the remaining path.
 
-    With `leaves`, a short path is never a hit, as on a mesh: the rest position handles contacts at its end. The path
-    may use half of the budget. If that is exhausted, the fingertip stops there; a short path, which cannot cross the
-    surface, is allowed if there is room at its end.
+    With `in_contact`, a short path is never a hit, as on a mesh: the rest position handles contacts at its end. The
+    path may use half of the budget. If that is exhausted, the fingertip stops there; a short path, which cannot cross
+    the surface, is allowed if there is room at its end.
     """
     path = vec3.sub(end, start)
     length, short = vec3.norm(path), MAX_STRIDE * radius
-    if leaves and length <= short:
+    if in_contact and length <= short:
         return NO_HIT, 0.0, budget
     near = compute_gap_within(shape, start, radius + length, budget // 2)
-    remaining, rest = (
-        compute_remaining_budget(budget // 2, near.is_complete, near.cost),
-        compute_remaining_budget(budget, True, near.cost),
-    )
+    path_budget = compute_remaining_budget(budget // 2, near.is_complete, near.cost)
+    budget = compute_remaining_budget(budget, True, near.cost)
     clearance, touching, share = near.gap - radius, TOUCHING_CLEARANCE * radius, 0.0
     if clearance >= length:
-        return NO_HIT, 0.0, rest
-    begun = min(clearance, 0.0) if leaves else 0.0
+        return NO_HIT, 0.0, budget
+    limit = min(clearance, 0.0) if in_contact else 0.0
     for _ in range(MAX_ADVANCES if clearance > touching else 0):
-        if remaining < 0:
+        if path_budget < 0:
             break
         share += clearance / length
         if share >= 1.0:
-            return NO_HIT, 0.0, rest
+            return NO_HIT, 0.0, budget
         near = compute_gap_within(
-            shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, remaining
+            shape, vec3.add_scaled(start, share, path), radius + (1.0 - share) * length, path_budget
         )
-        remaining, rest = (
-            compute_remaining_budget(remaining, near.is_complete, near.cost),
-            compute_remaining_budget(rest, True, near.cost),
-        )
+        path_budget = compute_remaining_budget(path_budget, near.is_complete, near.cost)
+        budget = compute_remaining_budget(budget, True, near.cost)
         clearance = near.gap - radius
-        if remaining >= 0 and clearance <= touching:
-            return share, 0.0, rest
-    if remaining < 0 and length > short:
-        return share, 0.0, rest
+        if path_budget >= 0 and clearance <= touching:
+            return share, 0.0, budget
+    if path_budget < 0 and length > short:
+        return share, 0.0, budget
     # A grazing path gets closer in ever smaller steps: it is a hit only if it ends inside.
-    near = compute_gap_within(shape, end, radius, min(rest, END_BUDGET))
-    return (share if near.gap - radius < begun else NO_HIT), 0.0, compute_remaining_budget(rest, True, near.cost)
+    near = compute_gap_within(shape, end, radius, min(budget, END_BUDGET))
+    return (share if near.gap - radius < limit else NO_HIT), 0.0, compute_remaining_budget(budget, True, near.cost)
 
 
 @rest_on.of(Heightmap)

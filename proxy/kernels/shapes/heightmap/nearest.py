@@ -22,10 +22,10 @@ from softfinger.proxy.kernels.shapes.composite import NearestObject, nearest_of_
 from softfinger.proxy.kernels.shapes.heightmap.surface import (
     MapFoot,
     MapPoint,
+    compute_gap_at_foot,
     descend,
     find_foot,
     is_below,
-    is_touching,
     to_pitches,
 )
 from softfinger.proxy.kernels.shapes.heightmap.tiles import (
@@ -46,8 +46,8 @@ from softfinger.proxy.kernels.shapes.protocol import (
     closest_from,
     closest_or_bound,
     closest_within,
+    compute_direction,
     constraint_at,
-    direction,
 )
 
 HEIGHT_COST: Final = 2
@@ -175,7 +175,7 @@ def search(shape: Heightmap, p: Vec3, best: MapFoot, budget: int) -> MapSearch:
 
 @jit
 def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
-    gap, point, normal = is_touching(shape, x, result.foot)
+    gap, point, normal = compute_gap_at_foot(shape, x, result.foot)
     if not result.is_complete and gap > 0.0 and is_below(shape, x):
         gap, normal = -gap, vec3.scale(-1.0, normal)
     return TouchedPoint(min(gap, result.bound * shape.pitch), point, normal, result.is_complete, result.cost)
@@ -184,16 +184,16 @@ def touch_at(shape: Heightmap, x: Vec3, result: MapSearch) -> TouchedPoint:
 @outlined
 def find_foot_from(shape: Heightmap, x: Vec3, start: Vec3) -> TouchedPoint:
     """Return the foot point of `x` (3,) m reached by descent from `start` (3,) m, nearest or not."""
-    at = to_pitches(shape, start)
-    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(at[0], at[1]), NO_DISTANCE)
+    q = to_pitches(shape, start)
+    foot, looks = descend(shape, to_pitches(shape, x), MapPoint(q[0], q[1]), NO_DISTANCE)
     return touch_at(shape, x, MapSearch(foot, NO_DISTANCE, True, HEIGHT_COST * looks))
 
 
 @outlined
 def find_nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> TouchedPoint:
     """Return the nearest point; no search is needed if the foot point found from `start` is known to be the nearest."""
-    p, at = to_pitches(shape, x), to_pitches(shape, start)
-    foot, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+    p, q = to_pitches(shape, x), to_pitches(shape, start)
+    foot, looks = descend(shape, p, MapPoint(q[0], q[1]), NO_DISTANCE)
     cost = HEIGHT_COST * looks + NEIGHBOUR_COST
     result = MapSearch(foot, NO_DISTANCE, True, cost)
     if not is_convex_around(shape, p, foot):
@@ -204,18 +204,17 @@ def find_nearest_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> To
 
 @outlined
 def compute_gap_within(shape: Heightmap, x: Vec3, reach: float, budget: int) -> Gap:
-    """Return the gap of `x` (3,) m, or FAR if it exceeds `reach` (m).
+    """Return the gap of `x` (3,) m, or NO_DISTANCE if it exceeds `reach` (m).
 
-    Without budget, it is the lower bound from the bounding box of the map, -FAR inside of the box.
+    Without budget, it is the lower bound from the bounding box of the map, -NO_DISTANCE inside of the box.
     """
     p, most = to_pitches(shape, x), reach / shape.pitch * LIMIT_MARGIN
-    is_complete = find_tile(shape, p, int(shape.levels) - 1, 0, 0)
-    if is_complete.w > 0.0 and compute_squared_distance(is_complete) > most * most:
+    root = find_tile(shape, p, int(shape.levels) - 1, 0, 0)
+    if root.w > 0.0 and compute_squared_distance(root) > most * most:
         return Gap(NO_DISTANCE, True, 1)
     if budget <= 0:
-        return Gap(
-            sqrt(compute_squared_distance(is_complete)) * shape.pitch if is_complete.w > 0.0 else -NO_DISTANCE, False, 1
-        )
+        bound = sqrt(compute_squared_distance(root)) * shape.pitch if root.w > 0.0 else -NO_DISTANCE
+        return Gap(bound, False, 1)
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
     cost = HEIGHT_COST * looks + NEIGHBOUR_COST
     result = MapSearch(foot, NO_DISTANCE, True, cost)
@@ -253,7 +252,7 @@ def make_consistent(x: Vec3, near: TouchedPoint) -> tuple[float, Vec3, Vec3]:
     """Return consistent gap, point and normal: if the gap is a bound, the point is moved to that distance."""
     if near.is_complete or near.gap < 0.0:
         return near.gap, near.point, near.normal
-    _, up = direction(vec3.sub(x, near.point), near.normal)
+    _, up = compute_direction(vec3.sub(x, near.point), near.normal)
     return near.gap, vec3.add_scaled(x, -near.gap, up), up
 
 
@@ -273,18 +272,18 @@ def closest_within_on_heightmap(shape: Heightmap, x: Vec3, budget: int) -> tuple
 @outlined
 def find_closer_foot_from(shape: Heightmap, x: Vec3, start: Vec3, budget: int) -> tuple[float, Vec3, Vec3, int]:
     """Return `closest_from`; without budget, for the surface point below `x`."""
-    p, at = to_pitches(shape, x), to_pitches(shape, start)
+    p, q = to_pitches(shape, x), to_pitches(shape, start)
     if budget < 0:
-        gap, point, normal = is_touching(shape, x, find_foot(shape, p, p[0], p[1]))
+        gap, point, normal = compute_gap_at_foot(shape, x, find_foot(shape, p, p[0], p[1]))
         return gap, point, normal, budget
     foot, looks = descend(shape, p, MapPoint(p[0], p[1]), NO_DISTANCE)
     budget -= HEIGHT_COST * looks + NEIGHBOUR_COST
     if not is_convex_around(shape, p, foot):
-        candidate, looks = descend(shape, p, MapPoint(at[0], at[1]), NO_DISTANCE)
+        candidate, looks = descend(shape, p, MapPoint(q[0], q[1]), NO_DISTANCE)
         budget -= HEIGHT_COST * looks
         if candidate.squared_distance < EQUAL_SQUARE_SHARE * foot.squared_distance:
             foot = candidate
-    gap, point, normal = is_touching(shape, x, foot)
+    gap, point, normal = compute_gap_at_foot(shape, x, foot)
     return gap, point, normal, budget
 
 

@@ -21,7 +21,14 @@ from typing import NamedTuple
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import Heightmap, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, bend, curvature, direction, offset
+from softfinger.proxy.kernels.numerics.scalars import Four, compute_spline_weights, weigh
+from softfinger.proxy.kernels.shapes.protocol import (
+    Z_AXIS,
+    compute_direction,
+    compute_offset_curvature,
+    concavity,
+    curvature,
+)
 
 MAX_NEWTON_STEPS = 24
 """Limit of Newton's steps; usually three to five, more only for a start far from any foot point."""
@@ -38,9 +45,6 @@ MIN_SECOND_DERIVATIVE = 1e-3
 """Lower bound of the second derivative of D in a Newton step, 1 on a flat map."""
 FOOT_SINE = 1e-6
 """Sine of the angle between normal and direction to p, above which a point is not a foot point (too few steps)."""
-
-
-Four = tuple[float, float, float, float]
 
 
 class Height(NamedTuple):
@@ -69,19 +73,6 @@ class MapFoot(NamedTuple):
 
 
 @jit
-def compute_basis(f: float) -> tuple[Four, Four, Four]:
-    """Return the weights of a uniform cubic B-spline for four neighbours, and their first and second derivatives.
-
-    f  position between the middle two, 0 to 1
-    """
-    b = 1.0 - f
-    ff, bb = f * f, b * b
-    value = (bb * b / 6.0, (4.0 - 3.0 * ff * (2.0 - f)) / 6.0, (4.0 - 3.0 * bb * (2.0 - b)) / 6.0, ff * f / 6.0)
-    slope = (-0.5 * bb, (1.5 * f - 2.0) * f, (2.0 - 1.5 * b) * b, 0.5 * ff)
-    return value, slope, (b, 3.0 * f - 2.0, 1.0 - 3.0 * f, f)
-
-
-@jit
 def clamp_to_cells(place: float, count: float) -> float:
     """Clamp a coordinate to its `count` cells; return 0 for NaN."""
     if not place > 0.0:
@@ -90,24 +81,11 @@ def clamp_to_cells(place: float, count: float) -> float:
 
 
 @jit
-def read_row(shape: Heightmap, at: int, a: Four, da: Four, dda: Four) -> Vec3:
-    """Return the weighted sum of four neighbours in one row, from index `at`, and its first and second derivatives."""
-    c0, c1, c2, c3 = (
-        shape.coefficients[at],
-        shape.coefficients[at + 1],
-        shape.coefficients[at + 2],
-        shape.coefficients[at + 3],
-    )
-    return (
-        a[0] * c0 + a[1] * c1 + a[2] * c2 + a[3] * c3,
-        da[0] * c0 + da[1] * c1 + da[2] * c2 + da[3] * c3,
-        dda[0] * c0 + dda[1] * c1 + dda[2] * c2 + dda[3] * c3,
-    )
-
-
-@jit
-def weigh(weight: Four, z0: float, z1: float, z2: float, z3: float) -> float:
-    return weight[0] * z0 + weight[1] * z1 + weight[2] * z2 + weight[3] * z3
+def read_row(shape: Heightmap, start: int, a: Four, da: Four, dda: Four) -> Vec3:
+    """Return the weighted sum of four values in a row, from index `start`, and its first and second derivatives."""
+    z = shape.coefficients
+    z0, z1, z2, z3 = z[start], z[start + 1], z[start + 2], z[start + 3]
+    return weigh(a, z0, z1, z2, z3), weigh(da, z0, z1, z2, z3), weigh(dda, z0, z1, z2, z3)
 
 
 @jit
@@ -118,15 +96,15 @@ def compute_height(shape: Heightmap, s: float, t: float) -> Height:
     """
     s, t = clamp_to_cells(s, shape.columns), clamp_to_cells(t, shape.rows)
     i, j = min(int(s), int(shape.columns) - 1), min(int(t), int(shape.rows) - 1)
-    a, da, dda = compute_basis(s - i)
-    b, db, ddb = compute_basis(t - j)
+    a, da, dda = compute_spline_weights(s - i)
+    b, db, ddb = compute_spline_weights(t - j)
     width = int(shape.columns) + 3
-    at = j * width + i
+    first = j * width + i
     # Four calls, not a loop: in a loop, the compiler would read the weights from memory by index.
-    z0, s0, ss0 = read_row(shape, at, a, da, dda)
-    z1, s1, ss1 = read_row(shape, at + width, a, da, dda)
-    z2, s2, ss2 = read_row(shape, at + 2 * width, a, da, dda)
-    z3, s3, ss3 = read_row(shape, at + 3 * width, a, da, dda)
+    z0, s0, ss0 = read_row(shape, first, a, da, dda)
+    z1, s1, ss1 = read_row(shape, first + width, a, da, dda)
+    z2, s2, ss2 = read_row(shape, first + 2 * width, a, da, dda)
+    z3, s3, ss3 = read_row(shape, first + 3 * width, a, da, dda)
     return Height(
         z=weigh(b, z0, z1, z2, z3),
         s=weigh(b, s0, s1, s2, s3),
@@ -163,7 +141,7 @@ def solve_by_newton(p: Vec3, foot: MapFoot) -> tuple[float, float]:
         return (st * gt - tt * gs) / volume, (st * gs - ss * gt) / volume
     mean, half = 0.5 * (ss + tt), 0.5 * (ss - tt)
     spread = sqrt(half * half + st * st)
-    _, axis = direction((half + spread, st, 0.0) if half >= 0.0 else (st, spread - half, 0.0), (1.0, 0.0, 0.0))
+    _, axis = compute_direction((half + spread, st, 0.0) if half >= 0.0 else (st, spread - half, 0.0), (1.0, 0.0, 0.0))
     first, second = max(abs(mean + spread), MIN_SECOND_DERIVATIVE), max(abs(mean - spread), MIN_SECOND_DERIVATIVE)
     along, across = (axis[0] * gs + axis[1] * gt) / first, (axis[0] * gt - axis[1] * gs) / second
     return axis[1] * across - axis[0] * along, -axis[1] * along - axis[0] * across
@@ -214,7 +192,7 @@ def is_below(shape: Heightmap, x: Vec3) -> bool:
 
 
 @jit
-def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
+def compute_gap_at_foot(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, Vec3]:
     """Return gap (m), point (3,) m and normal (3,) at a foot point of `x` (3,) m."""
     h = foot.height
     point = (
@@ -229,7 +207,7 @@ def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, 
         vec3.norm(vec3.add_scaled(away, -gap, normal)) > FOOT_SINE * abs(gap)
         and abs(gap) > CONVERGED_STEP * shape.pitch
     ):
-        size, along = direction(away, normal)
+        size, along = compute_direction(away, normal)
         sign = -1.0 if is_below(shape, x) else 1.0
         gap, normal = sign * size, vec3.scale(sign, along)
     return gap, point, normal
@@ -238,11 +216,11 @@ def is_touching(shape: Heightmap, x: Vec3, foot: MapFoot) -> tuple[float, Vec3, 
 @curvature.of(Heightmap)
 def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> tuple[float, float, Vec3]:
     """Return the curvature of the graph: -a . h'' a / |(-h', 1)| along a unit tangent with the part a in the grid."""
-    at = to_pitches(shape, point)
-    h = compute_height(shape, at[0], at[1])
+    p = to_pitches(shape, point)
+    h = compute_height(shape, p[0], p[1])
     steep = 1.0 + h.s * h.s + h.t * h.t
     up = vec3.scale(1.0 / sqrt(steep), (-h.s, -h.t, 1.0))
-    _, u = direction((1.0, 0.0, h.s), Z_AXIS)
+    _, u = compute_direction((1.0, 0.0, h.s), Z_AXIS)
     v = vec3.cross(up, u)
     per = -1.0 / (shape.pitch * sqrt(steep))
     us, ut = h.ss * u[0] + h.st * u[1], h.st * u[0] + h.tt * u[1]
@@ -251,13 +229,13 @@ def curvature_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal:
     half = 0.5 * (uu - vv)
     spread = sqrt(half * half + uv * uv)
     along = (half + spread, uv, 0.0) if half >= 0.0 else (uv, spread - half, 0.0)
-    _, turned = direction(along, (1.0, 0.0, 0.0))
+    _, turned = compute_direction(along, (1.0, 0.0, 0.0))
     mean = 0.5 * (uu + vv)
     first = vec3.add_scaled(vec3.scale(turned[0], u), turned[1], v)
-    return offset(mean + spread, radius), offset(mean - spread, radius), first
+    return compute_offset_curvature(mean + spread, radius), compute_offset_curvature(mean - spread, radius), first
 
 
-@bend.of(Heightmap)
-def bend_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> float:
+@concavity.of(Heightmap)
+def concavity_of_heightmap(shape: Heightmap, radius: float, point: Vec3, normal: Vec3) -> float:
     k1, k2, _ = curvature(shape, radius, point, normal)
     return max(-min(k1, k2), 0.0)

@@ -45,16 +45,16 @@ def compute_tile_coordinate(place: float, index: int, last: int, count: float) -
 
 
 @jit
-def on_edge(along: float, slope: float, rest: float, half: float) -> tuple[float, float]:
+def find_nearest_on_edge(along: float, slope: float, height: float, half: float) -> tuple[float, float]:
     """Return the nearest position on an edge, within +-half, and the squared distance without the part across the edge.
 
     along   coordinate of the point along the edge
     slope   of the facet along the edge
-    rest    height of the point above the edge's middle
+    height  of the point above the edge's middle
     """
-    at = min(max((along + slope * rest) / (1.0 + slope * slope), -half), half)
-    d, w = at - along, slope * at - rest
-    return at, d * d + w * w
+    nearest = min(max((along + slope * height) / (1.0 + slope * slope), -half), half)
+    d, w = nearest - along, slope * nearest - height
+    return nearest, d * d + w * w
 
 
 class Tile(NamedTuple):
@@ -84,15 +84,15 @@ class Tile(NamedTuple):
 @jit
 def find_tile(shape: Heightmap, p: Vec3, level: int, i: int, j: int) -> Tile:
     across, down = count_tiles(shape.columns, level), count_tiles(shape.rows, level)
-    at = (int(shape.starts[level]) + j * across + i) * TILE_SIZE
-    b1, b2, thick = shape.facets[at + 1], shape.facets[at + 2], shape.facets[at + 3]
+    first = (int(shape.starts[level]) + j * across + i) * TILE_SIZE
+    b1, b2, thick = shape.facets[first + 1], shape.facets[first + 2], shape.facets[first + 3]
     half = 0.5 * (1 << level)
     middle_s, middle_t = (2.0 * i + 1.0) * half, (2.0 * j + 1.0) * half
     u = compute_tile_coordinate(p[0], i, across - 1, shape.columns) - middle_s
     v = compute_tile_coordinate(p[1], j, down - 1, shape.rows) - middle_t
-    w = p[2] - shape.facets[at]
+    w = p[2] - shape.facets[first]
     rise = (abs(b1) + abs(b2)) * half
-    convex = (w + rise + thick) * shape.facets[at + 4] < 1.0 and (rise + thick - w) * shape.facets[at + 5] < 1.0
+    convex = (w + rise + thick) * shape.facets[first + 4] < 1.0 and (rise + thick - w) * shape.facets[first + 5] < 1.0
     return Tile(
         half=half, middle_s=middle_s, middle_t=middle_t, u=u, v=v, w=w, b1=b1, b2=b2, thick=thick, rise=rise,
         convex=convex,
@@ -121,11 +121,11 @@ def to_facet(tile: Tile) -> tuple[float, MapPoint]:
         edge_s, edge_t = half if s > 0.0 else -half, half if t > 0.0 else -half
         square = NO_DISTANCE
         if out_s:
-            at, square = on_edge(tile.v, b2, tile.w - b1 * edge_s, half)
+            at, square = find_nearest_on_edge(tile.v, b2, tile.w - b1 * edge_s, half)
             square += (edge_s - tile.u) * (edge_s - tile.u)
             s, t = edge_s, at
         if out_t:
-            at, square_t = on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
+            at, square_t = find_nearest_on_edge(tile.u, b1, tile.w - b2 * edge_t, half)
             square_t += (edge_t - tile.v) * (edge_t - tile.v)
             if square_t < square:
                 square, s, t = square_t, at, edge_t

@@ -9,7 +9,7 @@ from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes.mesh.lanes import FIELDS, LANES, NODE
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, compute_direction
 
 PLACE_MARGIN, AXES_MARGIN = 2.5e-7, 2e-6
 """Margins of a box, as a share of the mesh's size and of the box's own: float32 rounds coordinates by 6e-8, and the
@@ -113,8 +113,8 @@ def arrange(middles: Any, order: Any, tree: Branches, first_node: int) -> int:
 
 @jit
 def read_corner(vertices: Any, corners: Any, triangle: int, i: int) -> Vec3:
-    at = corners[triangle, i]
-    return (vertices[at, 0], vertices[at, 1], vertices[at, 2])
+    vertex = corners[triangle, i]
+    return (vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2])
 
 
 @jit
@@ -143,7 +143,7 @@ def compute_box(vertices: Any, corners: Any, some: tuple[int, int, int], up: Vec
 
     some   triangles: first, one after the last, step
     """
-    size, u = direction(vec3.reject(side, up), Z_AXIS)
+    size, u = compute_direction(vec3.reject(side, up), Z_AXIS)
     if size <= 1e-6 * vec3.norm(side):
         u = any_tangent(up)
     v = vec3.cross(up, u)
@@ -181,7 +181,7 @@ def write_box(lanes: Any, at: int, vertices: Any, corners: Any, low: int, high: 
     total = (0.0, 0.0, 0.0)
     for k in range(low, high):
         total = vec3.add(total, compute_area_normal(vertices, corners, k))
-    _, up = direction(total, Z_AXIS)
+    _, up = compute_direction(total, Z_AXIS)
     some = (low, high, 1 + (high - low) // MAX_SAMPLES)
     side = find_longest_side(vertices, corners, some)
     if high - low > 1:
@@ -208,15 +208,15 @@ def enclose(vertices: Any, corners: Any, tree: Branches, first_node: int, center
         is_leaf, count, child = parts[node] == 0, high[node] - low[node], first[node]
         boxes = count if is_leaf else parts[node]
         for i in range(LANES):
-            at = node * NODE + i
+            lane = node * NODE + i
             if i >= boxes:
                 for field in range(FIELDS):
-                    lanes[at + LANES * field] = 0.0
-                lanes[at + LANES * 9] = EMPTY_HALF_SIDE
+                    lanes[lane + LANES * field] = 0.0
+                lanes[lane + LANES * 9] = EMPTY_HALF_SIDE
             elif is_leaf:
-                write_box(lanes, at, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
+                write_box(lanes, lane, vertices, corners, low[node] + i, low[node] + i + 1, center, size)
             else:
-                write_box(lanes, at, vertices, corners, low[child + i], high[child + i], center, size)
+                write_box(lanes, lane, vertices, corners, low[child + i], high[child + i], center, size)
         work += count
         node += 1
     return node

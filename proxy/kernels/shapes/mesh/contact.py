@@ -88,17 +88,17 @@ def find_last_outside(mesh: Mesh, start: Vec3, path: Vec3, radius: float, budget
 
 @meets.of(Mesh)
 def travel_to_facet(
-    shape: Mesh, start: Vec3, end: Vec3, radius: float, leaves: bool, budget: int
+    shape: Mesh, start: Vec3, end: Vec3, radius: float, in_contact: bool, budget: int
 ) -> tuple[float, float, int]:
     """Return the share of the path at the first hit (see `travel`), the number of the triangle, and the budget left.
 
-    With `leaves`, the fingertip already is in contact, and a short path is never a hit: the solve for the rest position
-    handles contacts at its end. If the budget is exhausted, the fingertip stops there.
+    With `in_contact`, a short path is never a hit: the solve for the rest position handles contacts at its end. If the
+    budget is exhausted, the fingertip stops there.
     """
     path = vec3.sub(end, start)
     length = vec3.norm(path)
     if length <= MAX_STRIDE * radius:
-        if leaves:
+        if in_contact:
             return NO_HIT, 0.0, budget
         gap, triangle, budget = find_nearest_facet(shape, end, radius, NO_TRIANGLE, budget, 0.0)
         if triangle < 0.0 or gap >= radius:

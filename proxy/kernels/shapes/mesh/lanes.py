@@ -36,7 +36,7 @@ def room_for_bounds(typing_context):  # type: ignore[no-untyped-def]
 
 @intrinsic
 def room_for_lanes(typing_context):  # type: ignore[no-untyped-def]
-    """Allocate eight more than ROOM: `sift` always writes eight."""
+    """Allocate eight more than QUEUE_SIZE: `sift` always writes eight."""
     return _numbers(types.int32, QUEUE_SIZE + LANES)
 
 

@@ -81,8 +81,8 @@ def round_up(square: float) -> np.float32:
 @jit
 def find_middle(mesh: Triangles, node: int, lane: int) -> Vec3:
     """Return the middle of the box in a lane, (3,) m, relative to the middle of the mesh."""
-    at = node * NODE + lane
-    return (float(mesh.nodes[at]), float(mesh.nodes[at + LANES]), float(mesh.nodes[at + 2 * LANES]))
+    first = node * NODE + lane
+    return (float(mesh.nodes[first]), float(mesh.nodes[first + LANES]), float(mesh.nodes[first + 2 * LANES]))
 
 
 class Candidate(NamedTuple):
@@ -209,7 +209,7 @@ def find_nearest(shape: Mesh, x: Vec3, limit: float, known: Vec3, budget: int, e
     """Return the triangle nearest to `x` (3,) m within `limit` (m).
 
     known   (3,)  indices of up to three triangles near x, -1 for none: tested first, and preferred to equally near ones
-    budget        nodes and triangles to visit, at most ROOM
+    budget        nodes and triangles to visit, at most QUEUE_SIZE
     enough  m     distance below which a triangle is accepted if the search takes long; 0 for the exact nearest
     """
     mesh = shape.row[0]

@@ -6,7 +6,7 @@ from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import Mesh, Triangles, Vec3
 from softfinger.proxy.kernels.numerics import vec3
-from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, direction
+from softfinger.proxy.kernels.shapes.protocol import Z_AXIS, any_tangent, compute_direction
 
 FACE_FEATURE = 6
 """Number of the face as a feature of the triangle; 0 to 2 are its edges, 3 to 5 its corners."""
@@ -46,17 +46,17 @@ class Foot(NamedTuple):
 
 @jit
 def read_vertex(mesh: Triangles, vertex: int) -> Vec3:
-    at = 3 * vertex
-    return (mesh.vertices[at], mesh.vertices[at + 1], mesh.vertices[at + 2])
+    first = 3 * vertex
+    return (mesh.vertices[first], mesh.vertices[first + 1], mesh.vertices[first + 2])
 
 
 @jit
 def read_corners(mesh: Triangles, triangle: int) -> Corners:
-    at = 3 * triangle
+    first = 3 * triangle
     return Corners(
-        read_vertex(mesh, int(mesh.corners[at])),
-        read_vertex(mesh, int(mesh.corners[at + 1])),
-        read_vertex(mesh, int(mesh.corners[at + 2])),
+        read_vertex(mesh, int(mesh.corners[first])),
+        read_vertex(mesh, int(mesh.corners[first + 1])),
+        read_vertex(mesh, int(mesh.corners[first + 2])),
     )
 
 
@@ -74,8 +74,8 @@ def find_foot(corners: Corners, x: Vec3, feature: int, weights: Vec3) -> Foot:
         point = vec3.add_scaled(c, weights[0], vec3.sub(a, c))
     else:
         point = a if feature == 3 else (b if feature == 4 else c)
-    apart = vec3.sub(x, point)
-    return Foot(point, vec3.dot(apart, apart), feature, weights)
+    offset = vec3.sub(x, point)
+    return Foot(point, vec3.dot(offset, offset), feature, weights)
 
 
 @jit
@@ -115,8 +115,8 @@ def find_foot_on(corners: Corners, x: Vec3) -> Foot:
 @jit
 def compute_face_normal(corners: Corners) -> Vec3:
     """Return the unit normal (3,), towards the side from which the corners are counter-clockwise."""
-    across = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
-    _, normal = direction(across, Z_AXIS)
+    area_vector = vec3.cross(vec3.sub(corners.b, corners.a), vec3.sub(corners.c, corners.a))
+    _, normal = compute_direction(area_vector, Z_AXIS)
     return normal
 
 
@@ -134,8 +134,8 @@ def compute_pseudonormal(mesh: Triangles, triangle: int, corners: Corners, featu
         if neighbour >= 0:
             normal = vec3.add(normal, compute_face_normal(read_corners(mesh, neighbour)))
     elif feature < FACE_FEATURE:
-        at = 3 * int(mesh.corners[3 * triangle + feature - 3])
-        normal = (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2])
+        first = 3 * int(mesh.corners[3 * triangle + feature - 3])
+        normal = (mesh.upward[first], mesh.upward[first + 1], mesh.upward[first + 2])
     return normal
 
 
@@ -153,20 +153,20 @@ def is_nearer(foot: Foot, square: float) -> bool:
 
 
 @jit
-def nearer_round_corner(mesh: Triangles, start: int, at: int, x: Vec3, square: float) -> int:
+def find_nearer_round_corner(mesh: Triangles, start: int, feature: int, x: Vec3, square: float) -> int:
     """Return the closest of the triangles round a corner if it is closer to `x` than the corner, otherwise -1.
 
-    at      corner of the triangle `start`
-    square  m^2  squared distance of the corner
+    feature       corner 0, 1 or 2 of the triangle `start`
+    square   m^2  squared distance of the corner
 
     Visits the triangles connected by edges, up to CORNER_TRIANGLES_MAX in each direction, without a descent: for most
     of them the corner is the nearest point, so their distances do not show where a closer one is.
     """
-    vertex, nearest = mesh.corners[3 * start + at], -1
-    for turn in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
-        triangle, corner = start, at
+    vertex, nearest = mesh.corners[3 * start + feature], -1
+    for side in (0, 2):  # across the edge that starts at the corner, and across the one that ends there
+        triangle, corner = start, feature
         for _ in range(CORNER_TRIANGLES_MAX):
-            triangle = int(mesh.across[3 * triangle + (corner + turn) % 3])
+            triangle = int(mesh.across[3 * triangle + (corner + side) % 3])
             if triangle < 0 or triangle == start:
                 break
             corner = 0
@@ -186,8 +186,8 @@ def find_near_corner(corners: Corners, foot: Foot) -> int:
     if foot.feature >= 3:
         return foot.feature - 3
     for i in range(3):
-        apart = vec3.sub(foot.point, corners[i])
-        if vec3.dot(apart, apart) <= CORNER_SHARE * foot.squared_distance:
+        offset = vec3.sub(foot.point, corners[i])
+        if vec3.dot(offset, offset) <= CORNER_SHARE * foot.squared_distance:
             return i
     return -1
 
@@ -201,11 +201,11 @@ def nearer_neighbour(shape: Mesh, triangle: float, x: Vec3) -> float:
     if foot.feature == FACE_FEATURE:
         return triangle
     if foot.feature < 3:
-        across = int(mesh.across[3 * k + foot.feature])
-        if across >= 0 and is_nearer(find_foot_on(read_corners(mesh, across), x), foot.squared_distance):
-            return float(across)
+        neighbour = int(mesh.across[3 * k + foot.feature])
+        if neighbour >= 0 and is_nearer(find_foot_on(read_corners(mesh, neighbour), x), foot.squared_distance):
+            return float(neighbour)
     corner = find_near_corner(corners, foot)
-    nearer = nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
+    nearer = find_nearer_round_corner(mesh, k, corner, x, foot.squared_distance) if corner >= 0 else -1
     return triangle if nearer < 0 else float(nearer)
 
 
@@ -225,7 +225,7 @@ def offset_curvature_on_triangle(
     if feature >= 3:
         return 1.0 / radius, 1.0 / radius, any_tangent(normal)
     first, second = corners[feature], corners[(feature + 1) % 3]
-    _, across = direction(vec3.cross(normal, vec3.sub(second, first)), any_tangent(normal))
+    _, across = compute_direction(vec3.cross(normal, vec3.sub(second, first)), any_tangent(normal))
     return 1.0 / radius, 0.0, across
 
 
@@ -239,9 +239,11 @@ def compute_shaded_normal(shape: Mesh, triangle: float, x: Vec3, normal: Vec3) -
     foot = find_foot_on(read_corners(mesh, k), x)
     total = (0.0, 0.0, 0.0)
     for i in range(3):
-        at = 3 * int(mesh.corners[3 * k + i])
-        total = vec3.add_scaled(total, foot.weights[i], (mesh.upward[at], mesh.upward[at + 1], mesh.upward[at + 2]))
-    _, smooth = direction(total, normal)
+        first = 3 * int(mesh.corners[3 * k + i])
+        total = vec3.add_scaled(
+            total, foot.weights[i], (mesh.upward[first], mesh.upward[first + 1], mesh.upward[first + 2])
+        )
+    _, smooth = compute_direction(total, normal)
     return smooth if vec3.dot(smooth, normal) >= 0.0 else vec3.scale(-1.0, smooth)
 
 
@@ -255,18 +257,18 @@ def closest_on_triangle(shape: Mesh, triangle: float, x: Vec3) -> tuple[float, V
     corners = read_corners(mesh, k)
     foot = find_foot_on(corners, x)
     normal = compute_face_normal(corners)
-    apart = vec3.sub(x, foot.point)
+    offset = vec3.sub(x, foot.point)
     if foot.feature == FACE_FEATURE:
-        gap = vec3.dot(apart, normal)
+        gap = vec3.dot(offset, normal)
         if mesh.side < 0.0 or (mesh.side == 0.0 and gap < 0.0):
             return -gap, foot.point, vec3.scale(-1.0, normal)
         return gap, foot.point, normal
-    distance, outward = direction(apart, normal)
+    distance, outward = compute_direction(offset, normal)
     if mesh.side == 0.0:
         return distance, foot.point, outward
     pseudo = compute_pseudonormal(mesh, k, corners, foot.feature)
     if distance <= ON_TRIANGLE_SHARE * mesh.size:
-        _, outward = direction(pseudo, normal)
+        _, outward = compute_direction(pseudo, normal)
     elif vec3.dot(outward, pseudo) < 0.0:
         distance, outward = -distance, vec3.scale(-1.0, outward)
     return mesh.side * distance, foot.point, vec3.scale(mesh.side, outward)
