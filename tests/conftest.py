@@ -102,7 +102,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 def pytest_configure(config: pytest.Config) -> None:
     # numba reads it at import: this process has the kernels as plain Python, and programs that it starts compile. With
-    # several processes the first runs no test, and the others inherit the value.
+    # several processes the first runs no test, and the next ones inherit the value.
     if hasattr(config, "workerinput") or not config.getoption("numprocesses", None):
         os.environ.pop("NUMBA_DISABLE_JIT", None)
     config.pluginmanager.register(Patience(config.getoption("--put-off")))
@@ -135,9 +135,7 @@ def sample_cases(items: list[pytest.Item]) -> None:
         if item.get_closest_marker("sampled") and not item.get_closest_marker("exhaustive"):
             tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for of_test in tests.values():
-        marker = of_test[0].get_closest_marker("sampled")
-        assert marker is not None
-        (count,) = marker.args
+        (count,) = of_test[0].get_closest_marker("sampled").args
         chosen = {round((i + 0.5) * len(of_test) / count - 0.5) for i in range(count)}
         for i, item in enumerate(of_test):
             if i not in chosen:

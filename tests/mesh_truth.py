@@ -1,6 +1,6 @@
 """Check the rendering of a mesh by brute force: `python tests/mesh_truth.py [MESH ...] --points N --ticks N`.
 
-Distances at random points, near to and far from the surface, are compared with those to all triangles. Then a hand
+Distances at random points, near to and far from the surface, are compared with a search of all triangles. Then a hand
 presses, drags and lifts at random, with friction, torsion and rolling. In every tick the proxy's distance from all
 triangles must be at least the radius of the fingertip, and the proxy must not have crossed a triangle since the
 previous tick. `softfinger bench mesh` measures the time of a tick.

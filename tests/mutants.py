@@ -134,7 +134,7 @@ class Copy:
 def end_session(leader: int) -> None:
     """Kill the remaining processes of a session: daemons of tests have separate process groups."""
     for pid in os.listdir("/proc"):
-        with contextlib.suppress(ValueError, OSError):  # not a process, or it has ended
+        with contextlib.suppress(ValueError, OSError):  # not a process, or no longer one
             if os.getsid(int(pid)) == leader:
                 os.kill(int(pid), signal.SIGKILL)
 

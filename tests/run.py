@@ -142,7 +142,6 @@ class Running:
             os.killpg(self.process.pid, signal.SIGINT)
 
     def _read(self, lines: Lines) -> None:
-        assert self.process.stdout is not None
         for line in self.process.stdout:
             lines.put((self, line.rstrip("\n")))
         lines.put((self, None))

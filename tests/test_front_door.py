@@ -166,7 +166,7 @@ def test_pandas_has_the_columns_of_a_results_file(monkeypatch: pytest.MonkeyPatc
             return self
 
     stand_in = type(sys)("pandas")
-    stand_in.DataFrame = Frame  # type: ignore[attr-defined]
+    stand_in.DataFrame = Frame
     monkeypatch.setitem(sys.modules, "pandas", stand_in)
     made_up().to_pandas()
     assert made == [(list_columns(), {field.name: np.int64 for field in FIELDS if field.kind == "int"})]
@@ -257,7 +257,7 @@ def test_a_hand_at_rest_leaves_no_denormal_numbers(engine: Engine) -> None:
 )
 def test_an_invalid_pose_is_refused(position: object, orientation: object, message: str, engine: Engine) -> None:
     with pytest.raises(PoseError, match=message):
-        engine.step(position, orientation)  # type: ignore[arg-type]
+        engine.step(position, orientation)
     assert pressing(engine) > 0.0
 
 

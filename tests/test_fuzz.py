@@ -5,6 +5,7 @@ is the time for each target, SOFTFINGER_FUZZ_SEED the seed.
 """
 
 import os
+import random
 import sys
 import tempfile
 from hashlib import sha256
@@ -23,6 +24,8 @@ FOUND: Final = sorted(path for path in CORPUS.glob("*/*") if path.is_file())
 SECONDS: Final = float(os.environ.get("SOFTFINGER_FUZZ_SECONDS", "4"))
 SEED: Final = int(os.environ.get("SOFTFINGER_FUZZ_SEED", "0")) or int.from_bytes(os.urandom(4))
 TARGETS: Final = sorted(fuzzing.targets())
+FIRST: Final = 100
+"""Number of mutations in every run, which are always the same."""
 
 
 def test_every_folder_of_the_corpus_is_a_target() -> None:
@@ -33,6 +36,15 @@ def test_every_folder_of_the_corpus_is_a_target() -> None:
 def test_bytes_found_by_fuzzing_are_accepted_or_refused(path: Path, tmp_path: Path) -> None:
     target = fuzzing.targets()[path.parent.name]
     assert not fuzzing.verdict(target, tmp_path / f"input{target.ending}", path.read_bytes())
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_the_first_mutations_are_accepted_or_refused(name: str, tmp_path: Path) -> None:
+    target, chance = fuzzing.targets()[name], random.Random(name)
+    seeds = fuzzing.seeds_of(target)
+    for _ in range(FIRST):
+        data = fuzzing.mutated(seeds, chance)
+        assert not fuzzing.verdict(target, tmp_path / f"input{target.ending}", data), data
 
 
 @pytest.mark.exhaustive

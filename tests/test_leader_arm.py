@@ -196,7 +196,7 @@ def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
         servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
         motor = arm.servos[IDS["pitch"]]
-        motor.store = lambda *_: setattr(motor, "mute", True)  # type: ignore[method-assign]
+        motor.store = lambda *_: setattr(motor, "mute", True)
         while (status := servo.read()[0]) >= 0:
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             time.sleep(0.001)
@@ -218,7 +218,6 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
 def test_the_rig_of_an_so101_is_complete() -> None:
     registry.add("leader-arm", leader)
     rig = load_rig(FOLDER / "so101.toml")
-    assert rig.device is not None
     options = registry.read_options(rig.device)
     assert [joint.servo for joint in options.joint] == [1, 2, 3, 4, 5]
     assert options.force_joint == "shoulder_pan" and rig.guard.force_max_n <= options.force_max_n

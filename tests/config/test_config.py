@@ -23,7 +23,7 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
 from softfinger.config.schema import Rig, Scene, make_commands_address
 from softfinger.config.schema.pairing import find_single_device, pair_devices
-from softfinger.config.sources import list_shipped, read_toml
+from softfinger.config.sources import list_shipped
 from softfinger.config.words import suggest
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
@@ -250,9 +250,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("kind", "make", "key", "value", "fragments"), FAULTS, ids=itertools.count())
-def test_a_fault_names_file_key_value_and_range(
-    kind: type[Scene | Rig], make: Callable[[], Any], key: str, value: Any, fragments: list[str]
-) -> None:
+def test_a_fault_names_file_key_value_and_range(kind, make, key, value, fragments):
     (fault,) = faults_of(kind, set_key(make(), key, value))
     assert fault.startswith("f.toml: ")
     assert [part for part in fragments if part not in fault] == [], fault
@@ -277,9 +275,7 @@ def test_local_endpoints_are_accepted(endpoint: str) -> None:
         ("ipc:///run/t", "off", None),
     ],
 )
-def test_command_endpoint_follows_from_the_telemetry_endpoint(
-    telemetry: str, endpoint: str | None, expected: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_command_endpoint_follows_from_the_telemetry_endpoint(telemetry, endpoint, expected, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
     commands = {"commands": {"endpoint": endpoint}} if endpoint else {}
     mapping = set_key(rig(), "telemetry.endpoint", telemetry) | commands
@@ -318,7 +314,7 @@ def test_a_fingers_coupling_and_probe_replace_those_of_the_scene() -> None:
 
 
 def pair_fingers(fingers: list[dict[str, Any]] | None, devices: list[str] | None) -> list[tuple[str, str]]:
-    """Return finger and table pairs of a scene and a rig; None stands for [fingertip] or [device]."""
+    """Return finger and table pairs of a scene and a rig; None is [fingertip] or [device]."""
     scene_mapping = scene() if fingers is None else {**pinch_scene(), "finger": fingers}
     drivers = {name: {"driver": "replay", "recording": "tap"} for name in devices or []}
     tables = rig_of_two() | {"devices": drivers} if drivers else rig()
@@ -553,17 +549,6 @@ def test_nearly_valid_files_raise_nothing_but_config_error(place: Any, value: ob
     kind, make, key, _, _ = place
     message = refusal_or_none(build, kind, set_key(make(), key, value), "nearly")
     assert message is None or "nearly: " in message
-
-
-@given(st.binary(max_size=200) | st.text(max_size=200).map(lambda text: text.encode("utf-8", "surrogatepass")))
-@settings(max_examples=200, deadline=None)
-def test_no_file_content_raises_anything_but_config_error(
-    tmp_path_factory: pytest.TempPathFactory, content: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "random.toml"
-    path.write_bytes(content)
-    message = refusal_or_none(read_toml, path)
-    assert message is None or "random.toml: " in message
 
 
 def test_schema_verb_prints_json_schema_with_units_and_ranges() -> None:

@@ -1,15 +1,29 @@
-"""Shapes in a scene file: accepted values, refused values, and the bodies of each shape."""
+"""Shapes and values of a scene: accepted and normalised values, refused values, the bodies of each shape; limits of
+configuration files: bounded time and memory, and no ignored override."""
 
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
 from helpers.refusals import faults_in
+from helpers.waits import ends_within
 
+from softfinger import Engine
 from softfinger.config import limits, schema
-from softfinger.config.load import build, describe
+from softfinger.config.errors import ConfigError
+from softfinger.config.load import FaultyConfig, build, describe, load_rig, load_scene
+from softfinger.config.schema import Tool
+from softfinger.config.sources import DEPTH_MAX, PARTS_MAX, parse_toml, read_toml
+from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
+from softfinger.server.verbs.check import examine_file
+from softfinger.server.wire.envelope import DeclinedRequest, parse
 
 pytestmark = pytest.mark.plain
 
@@ -27,7 +41,7 @@ UNSIZED = ("plane", "mesh")
 """Shapes whose tables have no length."""
 
 FROM_FILES = {"heightmap"}
-"""Shapes with dimensions in a file, tested in test_heightmap_files."""
+"""Shapes with dimensions in a file, tested in test_grids."""
 
 
 def mapping(shape: str, fingertip: float = 0.01, **keys: Any) -> dict[str, Any]:
@@ -154,9 +168,7 @@ def test_faults_of_pose_and_shape_are_reported_together() -> None:
         ("torus", {"inside": True}, (0.0, 0.06, 0.005), 0.015),
     ],
 )
-def test_distances_of_bodies_equal_the_dimensions_in_the_file(
-    shape: str, keys: dict[str, Any], x: tuple[float, float, float], gap: float
-) -> None:
+def test_distances_of_bodies_equal_the_dimensions_in_the_file(shape, keys, x, gap):
     # 1e-16: rounding of lengths below a third of a metre.
     assert signed_distance(object_of(shape, **keys), x) == pytest.approx(gap, abs=1e-16)
 
@@ -173,3 +185,235 @@ def test_the_walls_of_a_hollow_enclose_the_volume_of_the_solid(shape: str) -> No
             assert room == pytest.approx(-within, abs=1e-16)
             inner += 1
     assert 50 < inner < 950
+
+
+POSITION, STIFFNESS = "object.table.position_m", "object.table.material.stiffness_n_per_m"
+VALUES = [
+    (POSITION, np.array([0.0, 0.0, 0.5]), [0.0, 0.0, 0.5]),
+    (POSITION, np.array([0, 0, 1]), [0.0, 0.0, 1.0]),
+    (POSITION, [np.float64(0.0), np.int32(0), np.float32(0.5)], [0.0, 0.0, 0.5]),
+    (STIFFNESS, np.float32(500.0), 500.0),
+    (STIFFNESS, np.int64(500), 500.0),
+    (STIFFNESS, np.array(500.0), 500.0),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "plain"), VALUES)
+def test_values_of_numpy_are_plain_values(key: str, value: Any, plain: Any) -> None:
+    assert load_scene("paper-plane", {key: value}) == load_scene("paper-plane", {key: plain})
+    engine = Engine("paper-plane")
+    engine.set(key, value)
+    assert engine.get(key) == plain
+
+
+def test_a_mapping_may_contain_arrays() -> None:
+    table = {"name": "table", "shape": "plane", "position_m": np.zeros(3)}
+    material = {"stiffness_n_per_m": np.int64(800)}
+    scene = {"fingertip": {"radius_m": np.float32(0.5)}, "object": [table | {"material": material}]}
+    assert load_scene(scene).object[0].material.stiffness_n_per_m == 800.0
+
+
+@pytest.mark.parametrize("value", [np.zeros(2), np.full(3, np.nan), np.zeros((3, 3)), np.array(["x", "y", "z"])])
+def test_an_unusable_array_is_a_fault(value: Any) -> None:
+    with pytest.raises(ConfigError, match=r"object\[0\]\.position_m"):
+        load_scene("paper-plane", {POSITION: value})
+
+
+DIRECTION = (0.5, -0.5, 0.5, 0.5)
+LENGTHS = [1e-310, 1e-200, 1e-160, 1.0, 1e3]
+"""The squares of the first two are zero, and that of the third has lost most of its digits."""
+
+
+def led(orientation: Sequence[float]) -> Any:
+    params = {"position_m": [0.0, 0.0, 0.02], "orientation_wxyz": list(orientation)}
+    return parse(msgpack.packb({"command_id": "1", "method": "hand", "params": params})).params.orientation_wxyz
+
+
+def of_object(orientation: Sequence[float]) -> Any:
+    return load_scene("paper-plane", {"object.0.orientation_wxyz": list(orientation)}).object[0].orientation_wxyz
+
+
+PLACES: dict[str, Callable[[Sequence[float]], Any]] = {
+    "object": of_object,
+    "tool": lambda q: build(Tool, {"orientation_wxyz": list(q)}, "rig").orientation_wxyz,
+    "mounting": lambda q: build(Mounting, {"orientation_wxyz": list(q)}, "rig").frame()[1],
+    "hand": led,
+}
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.parametrize("place", PLACES)
+def test_only_the_direction_counts(place: str, length: float) -> None:
+    # Numbers of 1e-310 have 13 digits.
+    assert PLACES[place]([length * part for part in DIRECTION]) == pytest.approx(DIRECTION, abs=1e-12)
+
+
+@pytest.mark.parametrize("part", [math.inf, -math.inf, math.nan, 1e308])
+def test_a_hand_does_not_turn_to_no_direction(part: float) -> None:
+    with pytest.raises(DeclinedRequest, match=r"^bad_params: "):
+        led((part, part, part, part))
+
+
+SIZE = 1_000_000
+"""Just below the largest file that is read."""
+LATE_S = 120
+"""Each of these takes a few seconds at most; an unbounded case takes an hour."""
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting() -> Iterator[None]:
+    with ends_within(LATE_S):
+        yield
+
+
+def repeat(part: str) -> str:
+    return part * (SIZE // len(part))
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize(
+    "text",
+    [
+        repeat("a.") + "a = 1",
+        repeat('"a" . ') + "a = 1",
+        repeat("'a'.") + "a = 1",
+        "[" + repeat("a.") + "a]",
+        "[[" + repeat("a\t.") + "a]]",
+        "b = { " + repeat("a.") + "a = 1 }",
+        "b = [{ c = '''\n''', " + repeat("a.") + "a = 1 }]",
+    ],
+    ids=["bare", "quoted", "literal", "table", "array of tables", "inline", "after a string"],
+)
+def test_keys_without_end_are_refused(tmp_path: Path, text: str) -> None:
+    """tomllib's time and memory grow with the square of a key's parts, so a long key is refused before parsing."""
+    path = tmp_path / "long.toml"
+    path.write_text("# first\n" + text)
+    with pytest.raises(ConfigError, match=rf"long\.toml, line [23]: a key of more than {PARTS_MAX} parts"):
+        read_toml(path)
+
+
+def test_the_longest_key_is_read() -> None:
+    longest = ".".join(["a"] * PARTS_MAX)
+    assert parse_toml(f"{longest} = 1", "t") == tomllib.loads(f"{longest} = 1")
+    with pytest.raises(ConfigError, match="parts"):
+        parse_toml(f"{longest}.a = 1", "t")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# " + "a." * 100,
+        "k = 1 # it's " + "a." * 100,
+        "k = '" + "a." * 100 + "'",
+        'k = "\\" ' + "a." * 100 + '"',
+        'k = """\n' + "a." * 100 + '\n"x" \\""" \n"""',
+        "k = '''\n\"\"\" # " + "a." * 100 + "\n'''",
+        "k = [" + "1.5, " * 100 + "]",
+    ],
+)
+def test_dots_that_are_in_no_key_are_read(text: str) -> None:
+    assert parse_toml(text, "t") == tomllib.loads(text)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("text", [repeat('"""\\'), repeat("'\"#"), repeat("a-") + ".", repeat('\\"'), repeat("' .")])
+def test_text_of_broken_strings_takes_no_time(text: str) -> None:
+    with pytest.raises(ConfigError):
+        parse_toml(text, "t")
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 300 + "]" * 300,
+        "a = " + "{ a.a.a.a.a.a.a.a = " * 200 + "1" + "}" * 200,
+        "a = " + repeat("["),
+        "a = " + repeat("{a="),
+        "a = " + "1" * SIZE,
+    ],
+    ids=["lists", "tables", "brackets", "braces", "digits"],
+)
+def test_nesting_without_end_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "deep.toml"
+    for before, load in (("", load_scene), ('[device]\ndriver = "replay"\n', load_rig)):
+        path.write_text(before + text)
+        with pytest.raises(ConfigError, match=r"deep\.toml: (tables or lists nested more than|not usable|not TOML)"):
+            load(path)
+
+
+def test_the_deepest_table_is_read() -> None:
+    text = "a = " + "[" * (DEPTH_MAX - 1) + "]" * (DEPTH_MAX - 1)
+    assert parse_toml(text, "t") == tomllib.loads(text)
+    with pytest.raises(ConfigError, match="deep"):
+        parse_toml("a = " + "[" * DEPTH_MAX + "]" * DEPTH_MAX, "t")
+
+
+def test_keys_without_number_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "wide.toml"
+    path.write_text("".join(f"k{number} = 1\n" for number in range(80_000)))
+    with pytest.raises(FaultyConfig, match=r"79992 more keys") as caught:
+        load_scene(path)
+    assert len(str(caught.value)) < 4000
+
+
+def test_a_long_list_of_faults_is_truncated(tmp_path: Path) -> None:
+    path = tmp_path / "pasted.toml"
+    path.write_text("".join(f'[[object]]\nname = "o{number}"\nshape = "plane"\noops = 1\n' for number in range(80)))
+    with pytest.raises(FaultyConfig) as caught:
+        load_scene(path)
+    first, *lines = str(caught.value).splitlines()
+    faults = caught.value.faults
+    assert len(faults) >= 80 and first == f"{len(faults)} faults:"
+    assert lines[:-1] == [f"  {fault}" for fault in faults[: len(lines) - 1]]
+    assert lines[-1] == f"  and {len(faults) - len(lines) + 1} more: correct these first" and len(lines) < 25
+
+
+@pytest.mark.parametrize("key", ["object.0.material.stiffness_n_per_m", "object[0].material.stiffness_n_per_m"])
+def test_an_override_reaches_into_lists(key: str) -> None:
+    first, second = load_scene("corner", {key: 500}).object[:2]
+    assert first.material.stiffness_n_per_m == 500 and second == load_scene("corner").object[1]
+    turned = load_scene("corner", {"object.1.orientation_wxyz.2": -0.7071067811865476})
+    assert turned.object[1].orientation_wxyz[2] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"object.3.name": "x"}, r"override: object\.3\.name: there is no object\[3\]: entries go from 0 to 2"),
+        ({"object.first.name": "x"}, r"no object\.first: .* by name .*; to add an entry, set the complete list object"),
+        ({"object.-1.name": "x"}, r"there is no object\.-1"),
+        ({"object.name": "x"}, r"there is no object\.name"),
+        ({"object.1.orientation_wxyz.4": 0.0}, r"no object\[1\]\.orientation_wxyz\[4\]: .* 0 to 3; .*complete list"),
+        ({"object.0.position_m.2": 0.0}, r"override: object\[0\]\.position_m = a table: must be a list of 3"),
+        ({"object.0.shape.kind": "x"}, r"object\.0\.shape\.kind: object\[0\]\.shape\.kind would be in 'plane'"),
+        ({"fingertip.radius_m.x": 1.0}, r"fingertip\.radius_m\.x: .* would be in 0.01, which is not a table"),
+        ({"fingertop.radius_m": 1.0}, r"override: fingertop is not a key here.*fingertip"),
+        ({"object.0.matrial.stiffness_n_per_m": 1.0}, r"override: object\[0\]\.matrial is not a key"),
+        ({"object[0].material.stiffness_n_per_m": -1.0}, r"override: object\[0\]\.material\.stiffness_n_per_m = -1"),
+        ({"object.0.material.stiffness_n_per_m": -1.0}, r"override: object\[0\]\.material\.stiffness_n_per_m = -1"),
+    ],
+)
+def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        load_scene("corner", overrides)
+
+
+def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
+    with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is not a table"):
+        load_rig(path, {"device.recording.name": "x"}, {"device.recording.name": "flag"})
+
+
+def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    (tmp_path / "bad.csv").write_text("t,x\n")
+    for recording, message in (("missing.csv", "no such file"), (str(tmp_path / "bad.csv"), "line 1")):
+        path.write_text(f'[device]\ndriver = "replay"\nrecording = "{recording}"\n')
+        (error,) = examine_file(str(path)).errors
+        assert "rig.toml: device.recording" in error and message in error
+    path.write_text('[devices.thumb]\ndriver = "replay"\nrecording = "missing.csv"\n')
+    assert "devices.thumb.recording" in examine_file(str(path)).errors[0]
+    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
+    assert not examine_file(str(path)).errors

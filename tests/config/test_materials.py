@@ -81,7 +81,7 @@ def test_sources_have_valid_dois() -> None:
 
 
 def test_finger_pad_depth_follows_hertz() -> None:
-    """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of `human-index`, whose modulus is within the measured range."""
+    """F = 4/3 E* sqrt(r) d^1.5 with E* = 4 G of `human-index`; its modulus is within the measured range."""
     material, tip = material_of("finger-pad"), tip_of("human-index")
     reduced = 4.0 * tip.patch.shear_modulus_pa
     for force in (0.1, 1.0, 5.0):

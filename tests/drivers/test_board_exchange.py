@@ -1,26 +1,20 @@
-"""Exchange of all board drivers, call by call, on a scripted board and clock: limits to the nanosecond."""
+"""Exchange of all board drivers, call by call, on a scripted board and clock: limits to the nanosecond; mechanisms
+described in a rig, in the exchanges of both board drivers: joint angles in, torques out."""
 
-from collections.abc import Iterator
+import struct
+from collections.abc import Callable, Iterable, Iterator
 from math import inf, nan
 from typing import Any
 
 import numpy as np
 import pytest
+import test_hid_exchange
+import test_serial_exchange
 from helpers.plain_by_call import BY_CALL, MS, START_NS, by_call
 from numpy.typing import NDArray
 
-from softfinger.drivers import board_exchange
-from softfinger.drivers.base import (
-    HELD,
-    LOST,
-    OK,
-    PROTOCOL,
-    SAMPLE_SIZE,
-    SAMPLE_TIME,
-    STALE,
-    TIMEOUT,
-    WITHHELD,
-)
+from softfinger.drivers import base, board_exchange
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.block import Block
 from softfinger.drivers.board_exchange import BOARD, WAIT_MS, BoardTimes
 from softfinger.drivers.samples import RESUME_NS, RESUME_WAIT_NS
@@ -57,7 +51,7 @@ class Board:
         self.usable, self.busy = True, False
         self.zero, self.force, self.woken = OK, OK, OK
         self.wake_ends_a_force = False
-        self.sample = np.zeros(SAMPLE_SIZE)
+        self.sample = np.zeros(base.SAMPLE_SIZE)
         board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
 
     def _poll(self, fds: Any, count: int, wait_ms: int) -> int:
@@ -78,7 +72,7 @@ class Board:
         return self.incoming.pop(0) if self.incoming else 0
 
     def convert_sample(self, driver: Any, handle: int) -> bool:
-        self.block.numbers(BOARD.sample, SAMPLE_SIZE)[0] += 1.0  # each sample has another position
+        self.block.numbers(BOARD.sample, base.SAMPLE_SIZE)[0] += 1.0  # each sample has another position
         return self.usable
 
     def must_withhold(self, driver: Any, handle: int, deaf: bool) -> bool:
@@ -155,7 +149,7 @@ def test_first_read_discards_queued_samples_and_waits(board: Board) -> None:
     expected: list[Any] = ["drain", "wait 0", "drain", ("wake", START_NS)]
     expected += 3 * waits + [("wake", START_NS + 30 * MS)] + 3 * waits + [("wake", START_NS + 60 * MS)] + waits
     assert board.calls == expected
-    assert board.sample[SAMPLE_TIME] == pytest.approx((START_NS + 70 * MS - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[base.SAMPLE_TIME] == pytest.approx((START_NS + 70 * MS - OPENED) * 1e-9, rel=1e-15)
 
 
 @pytest.mark.parametrize("reads", [0, 1, 2])
@@ -182,8 +176,7 @@ def test_first_read_times_out(misread: int, status: int, board: Board, monkeypat
         return int(real(driver, handle))
 
     monkeypatch.setattr(board_exchange, "drain", drain)
-    assert board.read() == status
-    assert board.clock.now == START_NS + TIMEOUT_NS + WAIT_MS * MS
+    assert board.read() == status and board.clock.now == START_NS + TIMEOUT_NS + WAIT_MS * MS
     assert board.calls.count("drain") == 2 + 21
 
 
@@ -201,10 +194,8 @@ def test_after_a_pause_a_silent_board_costs_a_short_wait_and_gets_no_force(board
     board.receive_sample()
     board.clock.now += 150 * MS
     begun, before = board.clock.now, board.sample.copy()
-    assert board.read() == STALE
-    assert board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
-    assert board.sample.tolist() == before.tolist()
-    assert board.word[BOARD.read_at] == board.clock.now
+    assert board.read() == STALE and board.clock.now - begun == RESUME_WAIT_NS + WAIT_MS * MS
+    assert board.sample.tolist() == before.tolist() and board.word[BOARD.read_at] == board.clock.now
     assert board.word[BOARD.sampled_at] == begun - QUIET - 1
     assert board.write(FORCE) == WITHHELD and "zero" in board.calls
     board.later(MS)
@@ -220,7 +211,7 @@ def test_a_tick_reads_the_latest_sample_without_waiting(board: Board) -> None:
     board.later(MS)
     board.incoming = [4]
     assert board.read() == OK and board.calls == ["drain"]
-    assert board.sample[SAMPLE_TIME] == pytest.approx((board.clock.now - OPENED) * 1e-9, rel=1e-15)
+    assert board.sample[base.SAMPLE_TIME] == pytest.approx((board.clock.now - OPENED) * 1e-9, rel=1e-15)
     assert board.sample[0] == 2.0
     sample = board.sample.copy()
     board.later(MS)
@@ -341,3 +332,83 @@ def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, 
     assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD
+
+
+PANTOGRAPH = {"kind": "pantograph", "base_m": 0.038, "inner_m": 0.07, "outer_m": 0.0875, "torque_max_nm": 0.01}
+DELTA = {
+    "kind": "delta", "base_m": 0.06, "end_m": 0.03, "arm_m": 0.08, "rod_m": 0.17, "torque_max_nm": 0.2,
+    "origin_m": [0.0, 0.0, 0.2],
+}  # fmt: skip
+
+
+class Joints:
+    """A board of either driver, with a float32 per joint in its messages."""
+
+    def __init__(self, driver: str, kinematics: dict[str, Any], names: str, patch: pytest.MonkeyPatch) -> None:
+        messages = {
+            direction: {
+                "bytes": 4 * len(names),
+                "field": [{"meaning": f"{m}{n}", "offset": 4 * k, "type": "float32"} for k, n in enumerate(names)],
+            }
+            for direction, m in (("input", ""), ("output", "torque_"))
+        }
+        keys: dict[str, Any] = {"kinematics": kinematics, "mounting": {}}
+        self.format, self.board = f"<{len(names)}f", self.open(driver, keys, messages, patch)
+
+    def open(self, driver: str, keys: Any, messages: Any, patch: pytest.MonkeyPatch) -> Any:
+        if driver == "hid":
+            return test_hid_exchange.Board(patch, **keys, reports=messages)
+        return test_serial_exchange.Board(test_serial_exchange.described(**keys, frames=messages), patch)
+
+    def read(self, angles: Iterable[float]) -> Any:
+        return self.board.read(struct.pack(self.format, *angles))
+
+    def torques(self, *force: float) -> tuple[int, np.ndarray]:
+        """Return the status of a force, and the torques (N m) sent for it."""
+        status = self.board.write(*force, 0.0, 0.0, 0.0)
+        sent = self.board.node.sent if isinstance(self.board, test_hid_exchange.Board) else self.board.port.sent
+        return status, np.array(struct.unpack(self.format, sent[-1][-struct.calcsize(self.format) :]))
+
+    def count(self, name: str) -> int:
+        return int(self.board.counts().get(name, 0))
+
+
+Make = Callable[[dict[str, Any], str], Joints]
+
+
+@pytest.fixture(params=["serial", "hid"])
+def make(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Make:
+    return lambda kinematics, names: Joints(request.param, kinematics, names, monkeypatch)
+
+
+def test_a_singular_pose_is_counted_and_a_motors_limit_is_another(make: Make) -> None:
+    joints = make(PANTOGRAPH, "ab")
+    # first, both inner links outward along the line of their joints: their ends are 0.178 m apart, beyond the reach of
+    # the outer links
+    for degrees, largest, counts in (((180.0, 0.0), 0.0, (1, 0)), ((150.0, 30.0), 0.01, (1, 1))):
+        for force, status in ((5.0, STALE), (0.0, OK)):  # a zero needs no motor
+            assert joints.read(np.radians(degrees))[0] == OK
+            outcome, torques = joints.torques(0.0, force, 0.0)
+            assert outcome == status
+            assert np.abs(torques).max() == pytest.approx(largest if force else 0.0)
+        assert (joints.count("singular"), joints.count("cut")) == counts
+    assert joints.count("written") == 4
+
+
+def test_a_pose_that_is_none_is_counted_as_singular(make: Make) -> None:
+    joints = make(DELTA, "abc")
+    status, sample = joints.read((0.0, np.pi, 0.0))
+    assert status == OK and np.isnan(sample[:3]).all()
+    assert joints.count("singular") == 1 and np.isfinite(joints.read((0.5, 0.5, 0.5))[1]).all()
+    assert joints.count("singular") == 1
+
+
+def test_torques_of_a_delta_do_the_work_of_the_force(make: Make) -> None:
+    joints = make(DELTA, "abc")
+    angles, step, force = np.array([0.5, 0.6, 0.4]), np.array([1e-3, -2e-3, 3e-3]), np.array([0.3, -0.2, 0.5])
+    ahead, behind = (joints.read(angles + sign * step)[1][:3] for sign in (1, -1))
+    joints.read(angles)
+    status, torques = joints.torques(*force)
+    assert status == OK and (torques != 0.0).all()
+    # an error of the third order in steps of 3e-3
+    assert torques @ (2 * step) == pytest.approx(force @ (ahead - behind), rel=1e-4)

@@ -112,8 +112,7 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
     if privileged:
         os.seteuid(65534)  # user nobody: root may read everything
     try:
-        assert not discovery.has_usb(root)
-        assert discovery.list_names(root) == frozenset()
+        assert not discovery.has_usb(root) and discovery.list_names(root) == frozenset()
         assert discovery.list_attached(root) == []
         with pytest.raises(DeviceNotFound, match="the file does not exist"):
             library.load(str(hidden / "libdrd.so"))
@@ -140,15 +139,13 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
 )
 def test_devices_are_claimed_by_their_ids(vendor: int, product: int, driver: str, rig: str) -> None:
     claim = find_claim(at("", vendor, product))
-    assert claim is not None
-    assert claim.driver == driver
+    assert claim is not None and claim.driver == driver
     assert rig in claim.rigs
 
 
 def test_no_driver_claims_a_keyboard() -> None:
     keyboard = at("/dev/null", 0x1234, 0x5678)
-    assert find_claim(keyboard) is None
-    assert diagnose(keyboard, None).state == "unclaimed"
+    assert find_claim(keyboard) is None and diagnose(keyboard, None).state == "unclaimed"
     assert "docs/devices/hid.md" in diagnose(keyboard, None).remedy
 
 
@@ -180,8 +177,7 @@ def test_a_teensy_is_not_identified_by_its_ids(node: Path) -> None:
     haply = board._replace(name="Haply")
     assert find_claim(haply) == find_claim(board._replace(name="Haply inverse3"))
     claim = find_claim(haply)
-    assert claim is not None
-    assert (claim.driver, claim.rigs) == ("haply", ("haply-inverse3", "haply-minverse"))
+    assert claim is not None and (claim.driver, claim.rigs) == ("haply", ("haply-inverse3", "haply-minverse"))
 
 
 def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
@@ -189,20 +185,16 @@ def test_report_descriptors_distinguish_boards_with_equal_ids() -> None:
     raw, debug = (at("", 0x16C0, 0x0486)._replace(descriptor=interface.descriptor) for interface in teensy.interfaces)
     claim = find_claim(raw)
     assert claim is not None and "woodenhaptics-2019" in claim.rigs
-    assert find_claim(debug) is None
-    assert "another channel of a board" in diagnose(debug, None).reason
+    assert find_claim(debug) is None and "another channel of a board" in diagnose(debug, None).reason
     rigs = {}
     for board in ("lpc1768-8", "lpc1768-14"):
         (interface,) = BOARDS[board].interfaces
         claim = find_claim(at("", 0x1234, 0x0006)._replace(descriptor=interface.descriptor))
-        assert claim is not None
         rigs[board] = set(claim.rigs)
-    assert "woodenhaptics-2015" in rigs["lpc1768-8"]
-    assert "woodenhaptics-polhem-v1-lpc1768" in rigs["lpc1768-14"]
+    assert "woodenhaptics-2015" in rigs["lpc1768-8"] and "woodenhaptics-polhem-v1-lpc1768" in rigs["lpc1768-14"]
     assert not rigs["lpc1768-8"] & rigs["lpc1768-14"]
     unknown = find_claim(at("", 0x1234, 0x0006))
-    assert unknown is not None
-    assert set(unknown.rigs) == rigs["lpc1768-8"] | rigs["lpc1768-14"]
+    assert unknown is not None and set(unknown.rigs) == rigs["lpc1768-8"] | rigs["lpc1768-14"]
 
 
 def test_an_arm_without_a_hidraw_node(root: Path) -> None:
@@ -213,8 +205,7 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     assert f"docker run --device {node}" in diagnose(arm, find_claim(arm)).remedy
     node.write_bytes(b"")
     diagnosis = diagnose(arm, find_claim(arm))
-    assert diagnosis.state == "usable"
-    assert "no hidraw node" in diagnosis.reason
+    assert diagnosis.state == "usable" and "no hidraw node" in diagnosis.reason
     assert "install --system " in suggest_permission_command(at("", 0x16C0, 0x0486, bus="usb"))
     with node.open("rb") as locked_file:
         fcntl.flock(locked_file, fcntl.LOCK_EX)
@@ -232,9 +223,7 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
     ],
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
-def test_permission_is_diagnosed(
-    node: Path, mode: int, group: int, vendor: int, product: int, bus: discovery.Bus, remedy: str
-) -> None:
+def test_permission_is_diagnosed(node, mode, group, vendor, product, bus, remedy):
     node.chmod(mode)
     os.chown(node, 0, group)
     device = at(node, vendor, product, bus)
@@ -244,8 +233,7 @@ def test_permission_is_diagnosed(
         diagnosis = diagnose(device, find_claim(device))
     finally:
         os.seteuid(0)
-    assert diagnosis.state == "permission"
-    assert str(node) in diagnosis.reason
+    assert diagnosis.state == "permission" and str(node) in diagnosis.reason
     assert remedy in diagnosis.remedy
 
 
@@ -257,8 +245,7 @@ def test_a_holder_is_named(node: Path) -> None:
         assert process.stdout is not None and process.stdin is not None
         assert process.stdout.readline() == "open\n"
         diagnosis = diagnose(at(node), find_claim(at(node)))
-        assert diagnosis.state == "busy"
-        assert f"process {process.pid} (python" in diagnosis.reason
+        assert diagnosis.state == "busy" and f"process {process.pid} (python" in diagnosis.reason
         assert diagnosis.remedy == f"kill {process.pid}"
         process.stdin.close()
         process.wait(10)
@@ -266,8 +253,7 @@ def test_a_holder_is_named(node: Path) -> None:
     with node.open("rb") as locked_file:
         fcntl.flock(locked_file, fcntl.LOCK_EX)
         holder = discovery.find_holder(str(node))
-        assert holder is not None
-        assert holder.pid == os.getpid()
+        assert holder is not None and holder.pid == os.getpid()
 
 
 def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -276,8 +262,7 @@ def test_a_missing_library_is_diagnosed(node: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setenv("HOME", str(node.parent))
     omega = at(node, 0x1451, 0x0402, bus="usb")
     diagnosis = diagnose(omega, find_claim(omega))
-    assert diagnosis.state == "library"
-    assert "libdrd was not found" in diagnosis.reason
+    assert diagnosis.state == "library" and "libdrd was not found" in diagnosis.reason
     assert "export FDSDK=" in diagnosis.remedy
     named = DeviceConfig(driver="forcedimension", options={"library_file": "/no/libdrd.so.9"})
     assert "libdrd.so.9': the file does not exist" in diagnose(omega, find_claim(omega), named).reason
@@ -288,16 +273,14 @@ def test_a_falcon_needs_its_firmware(root: Path) -> None:
     file = root / "firmware.bin"
     assert "no rig sets one" in diagnose_requirements(claim, {}).reason
     diagnosis = diagnose_requirements(claim, {"firmware": str(file)})
-    assert diagnosis.state == "firmware"
-    assert "firmware.bin' is not a file" in diagnosis.reason
+    assert diagnosis.state == "firmware" and "firmware.bin' is not a file" in diagnosis.reason
     file.write_bytes(b"\0")
     assert diagnose_requirements(claim, {"firmware": str(file)}).state == "usable"
 
 
 def test_output_without_devices() -> None:
     text = devices.format_lines([])
-    assert len(text) == 1
-    assert text[0].startswith("no USB or HID device is attached")
+    assert len(text) == 1 and text[0].startswith("no USB or HID device is attached")
     assert "--rig simulated" in text[0]
 
 

@@ -1,4 +1,4 @@
-"""Compiled exchanges of the drivers: those that call a library do not allocate, the others call nothing but libc."""
+"""Compiled exchanges of the drivers: with a library they do not allocate, without one they call only libc."""
 
 import re
 from typing import Any

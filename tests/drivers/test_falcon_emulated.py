@@ -65,8 +65,7 @@ def test_the_motors_stop_a_knob_at_the_plane(reversed_motors: bool, tmp_path: Pa
     rig = rig_with(tmp_path, counts_per_nm=6000.0, motors_reversed=reversed_motors)
     process, saw = run({"place": [0.0, 0.0, 0.004], "gain": gain}, rig, "--duration", "3", code=0)
     assert "device Novint Falcon 0403:cb48 at 1000 Hz" in process.stderr
-    assert "force is zero" in process.stderr
-    assert "not calibrated" not in process.stderr
+    assert "force is zero" in process.stderr and "not calibrated" not in process.stderr
     # Springs of hand and wall share the depth; up is the device's y.
     stiffness = load_scene("frictionless-plane").object[0].material.stiffness_n_per_m
     depth = (0.010 - 0.004) * 300.0 / (300.0 + stiffness)

@@ -179,8 +179,7 @@ def usb(opened: Usb) -> Usb:
 
 def test_the_first_read_times_out(opened: Usb) -> None:
     opened.answers = False
-    assert opened.read()[0] == TIMEOUT
-    assert TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
+    assert opened.read()[0] == TIMEOUT and TIMEOUT_NS < opened.clock.now - START_NS <= TIMEOUT_NS + 2 * MS
     assert opened.got() == [NOTHING] * 11
 
 
@@ -195,13 +194,12 @@ def test_after_a_pause_old_replies_are_discarded(usb: Usb) -> None:
         usb.incoming += next(replies, []) if arguments[1][1] else []
         return events(*arguments)
 
-    usb._events = late  # type: ignore[method-assign]
+    usb._events = late
     status, sample = usb.read()
     assert status == WITHHELD
     assert usb.word[AT.counts] == 200
     assert np.isfinite(sample).all()
-    assert counts_of(usb.got()[-1]) == (0, 0, 0)
-    assert usb.read(reply(300))[0] == OK
+    assert counts_of(usb.got()[-1]) == (0, 0, 0) and usb.read(reply(300))[0] == OK
 
 
 def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
@@ -212,8 +210,7 @@ def test_a_pause_of_the_loop_is_no_silence_of_the_device(usb: Usb) -> None:
     status, sample = usb.read()
     assert (status, sample.tolist()) == (WITHHELD, before)
     assert RESUME_WAIT_NS < usb.clock.now - begun <= RESUME_WAIT_NS + 2 * MS
-    assert usb.got() == [NOTHING] * 6
-    assert usb.write(*PULL) == WITHHELD
+    assert usb.got() == [NOTHING] * 6 and usb.write(*PULL) == WITHHELD
     usb.later(1 * MS)
     assert usb.read(reply(6))[0] == OK
 
@@ -232,14 +229,12 @@ def test_a_reply_is_a_sample_that_is_repeated(usb: Usb) -> None:
 
 
 def test_the_last_reply_of_a_tick_is_used(usb: Usb) -> None:
-    assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK
-    assert usb.word[AT.counts] == 3
+    assert usb.read(reply(1) + reply(2), b"", reply(3))[0] == OK and usb.word[AT.counts] == 3
     assert usb.counts() == {"replies": 3, "passed": 2}
 
 
 def test_a_flood_does_not_delay_the_loop(usb: Usb) -> None:
-    assert usb.read(*[reply(n) for n in range(20)])[0] == OK
-    assert usb.counts() == {"replies": 8, "passed": 7}
+    assert usb.read(*[reply(n) for n in range(20)])[0] == OK and usb.counts() == {"replies": 8, "passed": 7}
 
 
 def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
@@ -247,8 +242,7 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
     usb.block.raw_bytes(AT.buffer_in, 64)[:] = 0
     usb._done(AT.transfer_in, COMPLETED, 200)
     usb.blocked = True
-    assert usb.read()[0] == STALE
-    assert "replies" not in usb.counts()
+    assert usb.read()[0] == STALE and "replies" not in usb.counts()
     assert usb.counts()["garbled"] == 62
 
 
@@ -262,8 +256,7 @@ def test_a_length_past_the_buffer_is_clamped(usb: Usb) -> None:
 def test_statuses_of_a_transfer_from_the_device(ends: int, status: int, error: int, usb: Usb) -> None:
     usb.ends = ends
     usb.incoming = [None]
-    assert usb.read()[0] == status
-    assert usb.word[AT.error] == error
+    assert usb.read()[0] == status and usb.word[AT.error] == error
 
 
 def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
@@ -289,8 +282,7 @@ def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:
 
 def test_a_device_that_is_closed_is_lost(usb: Usb) -> None:
     usb.word[AT.open] = 0
-    assert usb.read()[0] == LOST
-    assert usb.write(*ZERO) == OK
+    assert usb.read()[0] == LOST and usb.write(*ZERO) == OK
     assert usb.write(*PULL) == WITHHELD
     assert usb.waits == [] and usb.got() == []
 
@@ -299,10 +291,8 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
     before = usb.read(reply(5))[1].tolist()
     usb.word[AT.lock] = 1
     sample = np.full(SAMPLE_SIZE, nan)
-    assert usb.block.call(exchange.read, sample) == STALE
-    assert sample.tolist() == before
-    assert usb.block.call(exchange.write, PULL) == WITHHELD
-    assert usb.block.call(exchange.silence) == 0
+    assert usb.block.call(exchange.read, sample) == STALE and sample.tolist() == before
+    assert usb.block.call(exchange.write, PULL) == WITHHELD and usb.block.call(exchange.silence) == 0
     assert usb.block.call(exchange.cancel_transfers) == 0
     assert usb.got() == [] and usb.word[AT.lock] == 1 and usb.word[AT.open] == 1
 
@@ -314,12 +304,10 @@ def test_calls_during_a_stop_do_not_wait(usb: Usb) -> None:
 def test_a_force_is_sent_as_motor_counts(axis: int, usb: Usb) -> None:
     wrench = [0.0, 0.0, 0.0, 0.5, 0.5, 0.5]
     wrench[axis] = 1.0
-    wanted, cut = compute_command(usb.block.handle, tuple(wrench[:3]))  # type: ignore[arg-type]
+    wanted, cut = compute_command(usb.block.handle, tuple(wrench[:3]))
     assert any(wanted) and not cut
-    assert usb.write(*wrench) == OK
-    assert usb.got() == [packet(wanted, 2)]
-    assert usb.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK
-    assert usb.got() == [NOTHING]
+    assert usb.write(*wrench) == OK and usb.got() == [packet(wanted, 2)]
+    assert usb.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK and usb.got() == [NOTHING]
     assert usb.forces() == {"written": 2}
 
 
@@ -328,30 +316,24 @@ def test_a_force_of_one_motor_has_to_be_ended(leg: int, usb: Usb, monkeypatch: p
     counts = [0, 0, 0]
     counts[leg] = 1
     monkeypatch.setattr(exchange, "compute_command", lambda handle, force: (tuple(counts), False))
-    assert usb.write(*PULL) == OK
-    assert usb.word[AT.has_force] == 1
+    assert usb.write(*PULL) == OK and usb.word[AT.has_force] == 1
     usb.write(*PULL)
-    assert usb.write(*PULL) == HELD
-    assert usb.write(*ZERO) == OK
+    assert usb.write(*PULL) == HELD and usb.write(*ZERO) == OK
     assert usb.word[AT.has_force] == 0
 
 
 def test_a_force_past_the_motors_is_limited(usb: Usb) -> None:
-    assert usb.write(0.0, 0.0, 100.0, 0.0, 0.0, 0.0) == STALE
-    assert max(map(abs, counts_of(usb.got()[0]))) == 4095
+    assert usb.write(0.0, 0.0, 100.0, 0.0, 0.0, 0.0) == STALE and max(map(abs, counts_of(usb.got()[0]))) == 4095
     assert usb.forces() == {"written": 1, "cut": 1}
 
 
 def test_two_packets_may_be_without_an_answer(usb: Usb) -> None:
-    assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD]
-    assert usb.write(*ZERO) == OK
-    assert usb.write(*ZERO) == STALE
-    assert usb.write(*PULL) == HELD
+    assert [usb.write(*PULL) for _ in range(3)] == [OK, OK, HELD] and usb.write(*ZERO) == OK
+    assert usb.write(*ZERO) == STALE and usb.write(*PULL) == HELD
     assert [any(counts_of(data)) for data in usb.got()] == [True, True, False]
     assert usb.forces() == {"written": 3, "held": 3}
     for number, status in ((1, HELD), (2, OK)):
-        assert usb.read(reply(number))[0] == OK
-        assert usb.write(*PULL) == status
+        assert usb.read(reply(number))[0] == OK and usb.write(*PULL) == status
 
 
 def test_missing_answers_are_lost_after_five_ms(usb: Usb) -> None:
@@ -359,14 +341,12 @@ def test_missing_answers_are_lost_after_five_ms(usb: Usb) -> None:
     usb.write(*ZERO)
     for later, unanswered in ((LOST_NS, 2), (1, 0)):
         usb.later(later)
-        assert usb.read()[0] == STALE
-        assert usb.word[AT.unanswered] == unanswered
+        assert usb.read()[0] == STALE and usb.word[AT.unanswered] == unanswered
 
 
 def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
     usb.blocked = True
-    assert usb.write(*PULL) == OK
-    assert usb.write(*PULL) == HELD
+    assert usb.write(*PULL) == OK and usb.write(*PULL) == HELD
     assert usb.waits == [0]
     assert usb.write(*ZERO) == HELD  # the motors retain their force
     assert usb.forces() == {"written": 1, "held": 2}
@@ -383,8 +363,7 @@ def test_a_pending_packet_delays_the_next(usb: Usb) -> None:
 def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) -> None:
     wrench = [0.0, 0.0, 0.0, bad, bad, bad]
     wrench[axis] = bad
-    assert usb.write(*wrench) == WITHHELD
-    assert usb.got() == [NOTHING]
+    assert usb.write(*wrench) == WITHHELD and usb.got() == [NOTHING]
     wrench[axis] = 1.0
     assert usb.write(*wrench) == OK
 
@@ -392,8 +371,7 @@ def test_a_force_that_is_no_number_is_a_zero(axis: int, bad: float, usb: Usb) ->
 def test_no_force_without_a_position(usb: Usb) -> None:
     status, sample = usb.read(reply(-3000))
     assert status == OK and isnan(sample[0])
-    assert usb.write(*PULL) == WITHHELD
-    assert usb.write(*ZERO) == WITHHELD
+    assert usb.write(*PULL) == WITHHELD and usb.write(*ZERO) == WITHHELD
     assert usb.got() == [NOTHING] * 2
 
 
@@ -412,12 +390,10 @@ def test_only_an_armed_device_applies_a_force(usb: Usb) -> None:
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         usb.word[AT.armed], usb.word[AT.stopped] = armed, stopped
         usb.word[AT.unanswered] = 0
-        assert usb.write(*PULL) == WITHHELD
-        assert usb.write(*ZERO) == OK
+        assert usb.write(*PULL) == WITHHELD and usb.write(*ZERO) == OK
         assert usb.got() == [NOTHING] * 2
     usb.word[AT.unanswered] = 2
-    assert usb.write(*ZERO) == STALE
-    assert usb.write(*PULL) == WITHHELD
+    assert usb.write(*ZERO) == STALE and usb.write(*PULL) == WITHHELD
     assert usb.got() == []
 
 
@@ -452,21 +428,17 @@ def stop(usb: Usb) -> int:
 def test_a_stop_sends_a_zero_and_waits_for_it(usb: Usb) -> None:
     usb.write(*PULL)
     usb.got()
-    assert stop(usb) == 0
-    assert usb.waits == [2000]
-    assert usb.got() == [NOTHING]
-    assert [usb.word[at] for at in (AT.stopped, AT.armed, AT.lock)] == [1, 0, 0]
+    assert stop(usb) == 0 and usb.waits == [2000]
+    assert usb.got() == [NOTHING] and [usb.word[at] for at in (AT.stopped, AT.armed, AT.lock)] == [1, 0, 0]
     assert stop(usb) == 1
     assert usb.got() == [] and usb.cancelled == []
     usb.word[AT.open], usb.word[AT.has_force] = 0, 1
-    assert stop(usb) == 1
-    assert usb.got() == []
+    assert stop(usb) == 1 and usb.got() == []
 
 
 def test_a_failed_zero_is_repeated(usb: Usb) -> None:
     usb.transfers[AT.transfer_out].view(np.int32)[4] = CANCELLED
-    assert stop(usb) == 0
-    assert usb.got() == [NOTHING]
+    assert stop(usb) == 0 and usb.got() == [NOTHING]
     assert stop(usb) == 1
     usb.transfers[AT.transfer_out].view(np.int32)[4] = BROKEN
     usb.error = ERROR_NO_DEVICE
@@ -478,21 +450,16 @@ def test_a_pending_force_is_cancelled(usb: Usb) -> None:
     usb.write(*PULL)
     usb.got()
     usb.clock.now = int(usb.word[AT.sent_at]) + exchange.STOP_HANG_NS - 2 * MS  # the wait takes 2 ms of it
-    assert stop(usb) == 0
-    assert usb.cancelled == []
-    assert stop(usb) == 0
-    assert usb.cancelled == [AT.transfer_out]
-    assert stop(usb) == 0
-    assert usb.got() == [NOTHING]
+    assert stop(usb) == 0 and usb.cancelled == []
+    assert stop(usb) == 0 and usb.cancelled == [AT.transfer_out]
+    assert stop(usb) == 0 and usb.got() == [NOTHING]
 
 
 def test_closing_cancels_both_transfers(usb: Usb) -> None:
-    assert usb.block.call(exchange.cancel_transfers) == 1
-    assert usb.cancelled == [AT.transfer_in]
+    assert usb.block.call(exchange.cancel_transfers) == 1 and usb.cancelled == [AT.transfer_in]
     assert [usb.word[at] for at in (AT.open, AT.in_done, AT.out_done, AT.lock)] == [0, 1, 1, 0]
     usb.cancelled.clear()
-    assert usb.block.call(exchange.cancel_transfers) == 1
-    assert usb.cancelled == []
+    assert usb.block.call(exchange.cancel_transfers) == 1 and usb.cancelled == []
 
 
 @pytest.mark.parametrize("hangs", [AT.transfer_in, AT.transfer_out])
@@ -501,8 +468,7 @@ def test_closing_reports_a_transfer_not_returned(hangs: int, usb: Usb) -> None:
     usb.write(*PULL)
     usb._done(AT.transfer_in if hangs == AT.transfer_out else AT.transfer_out, CANCELLED)
     usb.waits.clear()
-    assert usb.block.call(exchange.cancel_transfers) == 0
-    assert usb.cancelled == [hangs]
+    assert usb.block.call(exchange.cancel_transfers) == 0 and usb.cancelled == [hangs]
     assert usb.waits == [2000]
     usb.stubborn = False
     assert usb.block.call(exchange.cancel_transfers) == 1

@@ -83,8 +83,7 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     # 50 mm over which it changes.
     forces = columns(records, AT.force)
     error = np.linalg.norm(log[:, :3] - forces, axis=1)
-    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(forces, axis=1)).all()
-    assert forces[:, 2].max() > 0.5
+    assert (error < 0.007 + COUNT_M / 0.02 * np.linalg.norm(forces, axis=1)).all() and forces[:, 2].max() > 0.5
     assert (stub["threads"], stub["misuse"], stub["flying"], stub["allocated"]) == (0, 0, 0, 0)
     assert stub["opens"] == stub["closes"] and not any(stub.motors())
 
@@ -100,9 +99,7 @@ def test_closed_loop_with_a_fresh_reply_in_every_tick(stub: UsbStub, bench: Falc
     ],
     ids=["unplugged", "broken", "out-blocked", "in-blocked", "mute"],
 )
-def test_faults_leave_no_transfer_pending(
-    fault: dict[str, float], status: int, stub: UsbStub, bench: FalconBench
-) -> None:
+def test_faults_leave_no_transfer_pending(fault, status, stub, bench):
     stub.update(z=0.004)
     with bench.open() as device:
         stub.update(**{name: stub["steps"] + steps for name, steps in fault.items()})
@@ -138,9 +135,7 @@ def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
 
 
 @pytest.mark.parametrize("timeout_s", [0.05, 2.0])
-def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
-    timeout_s: float, stub: UsbStub, bench: FalconBench
-) -> None:
+def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(timeout_s, stub, bench):
     with bench.open(timeout_s=timeout_s, kick_s=0.02) as device:
         servo = DeviceCaller(device)
         servo.read()
@@ -152,8 +147,7 @@ def test_a_force_that_hangs_is_withdrawn_and_a_zero_follows(
         forces = stub["forces"]
         threading.Timer(0.15, lambda: stub.__setitem__("block", 0.0)).start()
         device.stop()
-        assert stub["forces"] == forces
-        assert not any(stub.motors())
+        assert stub["forces"] == forces and not any(stub.motors())
         assert stub["cancels"] >= 1
         assert servo.read()[0] in (OK, STALE, WITHHELD)  # a pause, on a machine that is busy
 
@@ -172,9 +166,7 @@ def test_a_stop_without_a_zero_is_logged(stub: UsbStub, bench: FalconBench, capl
     assert (stub["flying"], stub["dropped"], stub["steps"]) == (0, 0, steps)
 
 
-def test_transfers_not_returned_by_libusb_are_not_freed(
-    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_transfers_not_returned_by_libusb_are_not_freed(stub, bench, caplog):
     device = bench.open()
     DeviceCaller(device).read()
     stub.update(stubborn=1, hush_at=0)
@@ -204,9 +196,7 @@ def test_stop_waits_for_the_loop_to_leave_libusb(stub: UsbStub, bench: FalconBen
     assert stub["threads"] == 0
 
 
-def test_closing_under_a_loop_that_hangs_in_libusb(
-    stub: UsbStub, bench: FalconBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_closing_under_a_loop_that_hangs_in_libusb(stub, bench, caplog):
     device = bench.open()
     servo = DeviceCaller(device)
     servo.read()
@@ -223,20 +213,16 @@ def test_closing_under_a_loop_that_hangs_in_libusb(
     loop.join()
     assert statuses[0] >= 0
     device.close()
-    assert stub["opens"] == stub["closes"]
-    assert not any(stub.motors())
+    assert stub["opens"] == stub["closes"] and not any(stub.motors())
     assert (stub["threads"], stub["misuse"], stub["allocated"]) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(("knobs", "error"), [({"refuse": -1}, DeviceLost), ({"transfers": 1}, DeviceError)])
-def test_a_failed_opening_frees_everything(
-    knobs: dict[str, float], error: type[Exception], stub: UsbStub, bench: FalconBench
-) -> None:
+def test_a_failed_opening_frees_everything(knobs, error, stub, bench):
     stub.update(**knobs)
     with pytest.raises(error):
         bench.open()
-    assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0)
-    assert stub["opens"] == stub["closes"]
+    assert (stub["allocated"], stub["misuse"], stub["flying"]) == (0, 0, 0) and stub["opens"] == stub["closes"]
 
 
 def test_firmware_and_homing(stub: UsbStub, bench: FalconBench, tmp_path: Path) -> None:
@@ -263,8 +249,7 @@ def test_spoilt_replies(stub: UsbStub, bench: FalconBench, cases: Callable[[int,
         assert (fresh + withheld, repeated, failed) == (number, 0, 0) and withheld < 100
         assert places + nowhere == number and nowhere > number // 10
         assert word(device, WORDS.garbled) > number
-    assert not any(stub.motors())
-    assert stub["misuse"] == 0
+    assert not any(stub.motors()) and stub["misuse"] == 0
 
 
 def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None:
@@ -294,7 +279,7 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
         for _ in range(5):
             statuses.append(servo.read()[0])
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause, as since its loop ended
+        assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause
     assert not any(stub.motors(1))
     assert (stub["misuse"], stub["allocated"], stub["flying"], stub[1, "flying"]) == (0, 0, 0, 0)
     assert stub[1, "opens"] == stub[1, "closes"]

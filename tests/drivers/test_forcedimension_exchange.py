@@ -5,18 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.plain_by_call import (
-    BY_CALL,
-    MS,
-    NEARLY_A_ROTATION,
-    NO_ROTATIONS,
-    START_NS,
-    FarEnd,
-    GuardedBlock,
-    by_call,
-    matrix,
-    turned,
-)
+from helpers.plain_by_call import BY_CALL, MS, START_NS, FarEnd, GuardedBlock, by_call, matrix, turned
 
 from softfinger.drivers.base import FORCE_OFF, HELD, LOST, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.forcedimension import exchange
@@ -32,6 +21,24 @@ TO_WORLD = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 """From the library's frame (x towards the user, y right, z up) to the world's (x right, y away from the user, z up)."""
 FORCE, ERROR, CAUSE = 5, 9, 14
 """Indices of the library's status words, by its manual."""
+NEARLY_A_ROTATION = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
+"""Accepted as a rotation."""
+NO_ROTATIONS = {
+    "mirror": np.diag([1.0, 1.0, -1.0]),
+    "long": np.diag([1.02, 1.0, 1.0]),
+    "short": np.diag([1.0, 0.98, 1.0]),
+    "last": np.diag([1.0, 1.0, 1.02]),
+    "zeros": np.zeros((3, 3)),
+    "nan": np.full((3, 3), np.nan),
+    "askew": np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
+    # one row is of another length, though the volume is within a hundredth of 1
+    **{
+        f"row {row} {length}": np.diag(np.where(np.arange(3) == row, length, length**-0.49))
+        for row in range(3)
+        for length in (0.9891, 1.0109)
+    },
+}
+"""Matrices that are refused as rotations."""
 
 
 class Library(FarEnd):
@@ -123,8 +130,7 @@ def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(name: str, librar
 
 def test_a_repeated_reading_is_stale(library: Library) -> None:
     library.gives["get_frame"] = 1
-    assert library.read()[0] == STALE
-    assert library.counts() == {"reads": 1, "reads_guarded": 1}
+    assert library.read()[0] == STALE and library.counts() == {"reads": 1, "reads_guarded": 1}
 
 
 def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: Library) -> None:
@@ -136,14 +142,12 @@ def test_while_the_device_is_being_stopped_the_last_sample_is_repeated(library: 
     assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.calls == [] and library.word[AT.lock] == 1
     library.word[AT.lock] = 0
-    assert library.read()[1][0] == before[0] + 1.0
-    assert library.word[AT.lock] == 0
+    assert library.read()[1][0] == before[0] + 1.0 and library.word[AT.lock] == 0
 
 
 def test_a_device_that_is_closed_is_lost(library: Library) -> None:
     library.word[AT.open] = 0
-    assert library.read()[0] == LOST
-    assert library.calls == []
+    assert library.read()[0] == LOST and library.calls == []
 
 
 # --- failures reported by the library ---
@@ -156,10 +160,8 @@ def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
     assert library.word[AT.error] == ERROR_TIMEOUT and library.calls[-1] == "get_error"
     library.gives["get_error"] = 2
     library.status |= {FORCE: 0, CAUSE: 6, ERROR: 7}
-    assert library.read()[0] == LOST
-    assert library.calls[-2:] == ["get_error", "get_status"]
-    assert [library.word[at] for at in (AT.error, AT.cause, AT.faulty)] == [2, 6, 7]
-    assert library.counts() == {}
+    assert library.read()[0] == LOST and library.calls[-2:] == ["get_error", "get_status"]
+    assert [library.word[at] for at in (AT.error, AT.cause, AT.faulty)] == [2, 6, 7] and library.counts() == {}
     if name == "get_gripper":
         for code in (0, 1):
             library.gives[name] = code
@@ -169,8 +171,7 @@ def test_a_failed_reading_has_a_reason(name: str, library: Library) -> None:
 @pytest.mark.parametrize(("code", "status"), [(ERROR_TIMEOUT, TIMEOUT), (2, LOST), (1, LOST)])
 def test_a_failed_force_has_a_reason(code: int, status: int, library: Library) -> None:
     library.gives |= {"set_wrench": -1, "get_error": code}
-    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
-    assert library.word[AT.error] == code
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status and library.word[AT.error] == code
 
 
 def test_the_status_is_read_periodically(library: Library) -> None:
@@ -198,8 +199,7 @@ def test_a_device_that_turned_its_force_off_ends_the_run(words: dict[int, int], 
     sample = library.block.numbers(AT.sample, SAMPLE_SIZE).tolist()
     assert (sample == before.tolist()) is (status == FORCE_OFF)
     expected = (4, words.get(ERROR, 0)) if status == FORCE_OFF else (-1, 0)
-    assert (library.word[AT.cause], library.word[AT.faulty]) == expected
-    assert "get_error" not in library.calls
+    assert (library.word[AT.cause], library.word[AT.faulty]) == expected and "get_error" not in library.calls
 
 
 def test_a_failed_status_call_is_a_failure(library: Library) -> None:
@@ -219,8 +219,7 @@ def test_a_failed_status_call_is_a_failure(library: Library) -> None:
 def test_a_wrench_that_is_no_number_is_zero(place: int, library: Library) -> None:
     wrench = [1.0] * 6
     wrench[place] = nan
-    assert library.write(*wrench) == WITHHELD
-    assert library.wrenches == [(0.0,) * 7]
+    assert library.write(*wrench) == WITHHELD and library.wrenches == [(0.0,) * 7]
     assert library.counts() == {"writes": 1}
 
 
@@ -230,8 +229,7 @@ def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library)
     wrench[place] = 1.0
     for armed, stopped in ((0, 0), (1, 1), (0, 1)):
         library.word[AT.armed], library.word[AT.stopped] = armed, stopped
-        assert library.write(*wrench) == WITHHELD
-        assert library.write(*ZERO) == OK
+        assert library.write(*wrench) == WITHHELD and library.write(*ZERO) == OK
         assert library.calls == []
     assert library.counts() == {}
 
@@ -242,7 +240,6 @@ def test_a_device_that_is_not_armed_gets_no_wrench(place: int, library: Library)
 )
 def test_results_of_a_force(code: int, status: int, counts: dict[str, int], library: Library) -> None:
     library.gives["set_wrench"] = code
-    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
-    assert library.counts() == {"writes": 1, **counts}
+    assert library.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status and library.counts() == {"writes": 1, **counts}
     assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.counts() == {"writes": 2, **dict.fromkeys(counts, 2)}

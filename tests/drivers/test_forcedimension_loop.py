@@ -32,9 +32,7 @@ def test_the_status_period_of_the_rig_is_used(stub: Stub, bench: OmegaBench) -> 
 
 
 @pytest.mark.parametrize("exclusive", [0, 1])
-def test_stop_while_a_transfer_hangs(
-    exclusive: int, stub: Stub, bench: OmegaBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_stop_while_a_transfer_hangs(exclusive, stub, bench, caplog):
     stub.update(**PRESSING, delay_at=100, delay_s=1.5, exclusive=exclusive)
     with bench.open() as device:
         tuning = make_tuning(load_scene("paper-plane"), load_rig("replay").guard, [device.info])

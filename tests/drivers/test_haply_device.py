@@ -13,7 +13,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from itertools import groupby
-from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -183,8 +182,7 @@ def test_a_message_is_sent_after_the_last_is_answered(service: Service) -> None:
 def test_a_force_is_under_the_key_of_an_older_service() -> None:
     with Service("3.4.2") as old, exchanging(old) as (device, servo):
         push_up(device, servo)
-        assert old.force() == (0.0, 0.0, 1.0)
-        assert '"set_cursor_force":{"values"' in old.do("seen")["said"][0]
+        assert old.force() == (0.0, 0.0, 1.0) and '"set_cursor_force":{"values"' in old.do("seen")["said"][0]
 
 
 @pytest.mark.parametrize(
@@ -383,9 +381,7 @@ def test_a_stopped_service_blocks_no_call(service: Service) -> None:
     at_rest(service)
 
 
-def test_the_service_of_a_rig_is_queried_without_usb(
-    service: Service, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_service_of_a_rig_is_queried_without_usb(service, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(discovery, "list_attached", list)
     rig = tmp_path / "rig.toml"
     rig.write_text(find(RIG, Rig).read_text("utf-8").replace("port = 10001", f"port = {service.port}"))

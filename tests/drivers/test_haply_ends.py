@@ -1,16 +1,32 @@
-"""Ends of a connection with Haply's service: the forces that two devices of one service received before."""
+"""The daemon on Haply's emulated service: closed loop, faults, signals, a missing library, output of tools; ends of a
+connection: the forces that two devices of one service received before."""
 
+import contextlib
+import os
 import random
+import re
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
-from helpers.haply_devices import ID, Service, opened, settle
+from helpers.called import called
+from helpers.haply_devices import ID, RIG, Service, opened, settle
+from helpers.programs import Program, run_program
+from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import fresh, until
 
+from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT, WITHHELD
 from softfinger.drivers.haply.device import HaplyDevice
 from softfinger.server.driver_contract import DeviceCaller
+from softfinger.server.verbs.check import examine_file
+from softfinger.tools.doctor import attached
 
 pytestmark = pytest.mark.real_time
 
@@ -112,23 +128,21 @@ def test_the_last_force_before_an_end_is_zero(case: str, service: Service, pushi
     assert end_with(service, pushing, raw) == [PROTOCOL if case in BREACHES else LOST] * 2
     for device, name in zip(pushing, (ID, OTHER), strict=True):
         forces = received(service, name)
-        assert forces[-1] == (0.0, 0.0, 0.0)
-        assert any(any(force) for force in forces)
+        assert forces[-1] == (0.0, 0.0, 0.0) and any(any(force) for force in forces)
         device.stop()
         assert not device.zero_failure()
 
 
 def test_a_service_that_only_stops_sending_receives_a_zero(service: Service, pushing: list[HaplyDevice]) -> None:
     assert end_with(service, pushing, b"", "fin") == [LOST, LOST]
-    for name in (ID, OTHER):  # the service may read the zero after the loop has ended
+    for name in (ID, OTHER):  # the service may read the zero after the end of the loop
         until(lambda name=name: received(service, name)[-1] == (0.0, 0.0, 0.0))
 
 
 def test_a_reset_lets_no_zero_through(service: Service, pushing: list[HaplyDevice]) -> None:
     assert end_with(service, pushing, b"", "rst") == [LOST, LOST]
     for name, force in PUSH_N.items():
-        assert received(service, name)[-1] == (0.0, 0.0, force)
-        assert not any(service.force(name))
+        assert received(service, name)[-1] == (0.0, 0.0, force) and not any(service.force(name))
 
 
 @pytest.mark.scaled
@@ -176,8 +190,7 @@ def test_a_service_that_stops_reading_gets_one_more_force(service: Service, push
     for name in (ID, OTHER):
         until(lambda name=name: not any(service.force(name)))
         late = received(service, name, deaf_at)
-        assert sum(any(force) for force in late) <= 1
-        assert late[-1] == (0.0, 0.0, 0.0)
+        assert sum(any(force) for force in late) <= 1 and late[-1] == (0.0, 0.0, 0.0)
 
 
 def test_a_service_that_sends_without_reading_gets_no_force() -> None:
@@ -208,3 +221,85 @@ def test_a_service_that_sends_without_reading_gets_no_force() -> None:
         # Linux doubles `room`; a message has more than 60 bytes; two may wait in the driver, and one was being
         # answered.
         assert sum(any(force) for force in late) <= 2 * room / 60 + 3
+
+
+PATIENT = {"stale_s": 0.2, "quiet_s": 0.2, "timeout_s": 1.0}
+"""Times for a busy machine, where a process may answer late."""
+
+
+def rig(service: Service, **changes: Any) -> Rig:
+    return load_rig_in_process(RIG, {"port": service.port, **PATIENT}, changes)
+
+
+def pushes(service: Service) -> None:
+    until(lambda: service.force()[2] >= 0.5, 240.0)  # a process may have to compile first
+
+
+def command_line(service: Service, folder: Path, endpoint: str) -> list[str]:
+    mine = write_rig(folder, RIG, port=service.port, **PATIENT)
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "--rig", str(mine), "--realtime", "off"]
+    return [*command, "--scene", "paper-plane", "--endpoint", f"ipc://{folder}/{endpoint}"]
+
+
+@contextlib.contextmanager
+def pushing_daemon(service: Service, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.159})
+    words = command_line(service, folder, "a")
+    with Program(words, stderr=subprocess.PIPE, text=True, kill_at_end=True) as running:
+        pushes(service)
+        yield running
+
+
+def test_a_killed_daemon_leaves_no_lock_and_no_force(tmp_path: Path) -> None:
+    with Service() as service, pushing_daemon(service, tmp_path) as running:
+        running.kill()
+        running.wait(60)
+        opened(service).close()
+        until(lambda: not any(service.force()))
+
+
+def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path: Path) -> None:
+    with Service() as service, pushing_daemon(service, tmp_path) as running:
+        second = called(*command_line(service, tmp_path, "b")[3:])
+        assert second.returncode == 4
+        assert re.search(rf"inverse3 {ID} .* in use by process {running.pid} \(.*end that one first", second.stderr)
+        service.do("move", id=ID, to={"x": 0.0, "y": -0.12, "z": 0.1591})  # a static pose has no force
+        pushes(service)
+        service.set(deaf=True)
+        running.send_signal(signal.SIGTERM)
+        stderr = running.communicate(timeout=60)[1]
+        assert running.returncode == 4, stderr
+        assert "zero force is not confirmed" in stderr or "zero force is not confirmed" in stderr
+        assert "force is zero" not in stderr
+
+
+@pytest.mark.exhaustive
+def test_a_missing_library_is_one_error(tmp_path: Path) -> None:
+    (tmp_path / "websockets.py").write_text("raise ImportError('not installed')")
+    environ = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-m", "softfinger.server.cli", "run", "-q", "--rig", RIG]
+    command += ["--endpoint", f"ipc://{tmp_path}/a"]
+    process = run_program(command, env=environ)
+    assert process.returncode == 4
+    assert len(process.stderr.strip().splitlines()) == 1, process.stderr
+    assert "pip install 'softfinger[haply]'" in process.stderr
+
+
+def test_check_lists_the_filters(tmp_path: Path) -> None:
+    mine = tmp_path / "rig.toml"
+    text = find(RIG, Rig).read_text()
+    mine.write_text(text[: text.index("[device.filters]")] + "[device.filters]\nforce_gate = 0.0\n")
+    rows = dict(examine_file(str(mine)).summary)
+    assert rows["  filters"].startswith(
+        "force gate 0, damping 0, gravity compensation times 1, torque scaling on, home return off"
+    )
+
+
+def test_doctor_queries_the_service() -> None:
+    with Service() as service:
+        row = attached.check_inverse_service(rig(service))
+        assert (row.state, row.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")
+        service.do("vanish", id=ID)
+        assert attached.check_inverse_service(rig(service)).state == "bad"
+    row = attached.check_inverse_service(rig(service))
+    assert row.state == "bad" and "systemctl start haply-inverse-service" in row.remedy

@@ -82,8 +82,7 @@ def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
 def test_silence_ends_forces_then_the_run(device: Device) -> None:
     for silence, status in ((QUIET, OK), (QUIET + 1, WITHHELD)):
         device.word[AT.read_at] = device.clock.now = START_NS + silence
-        assert device.read()[0] == STALE
-        assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
+        assert device.read()[0] == STALE and device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == status
     assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     for silence, status in ((TIMEOUT_NS, STALE), (TIMEOUT_NS + 1, TIMEOUT)):
         device.word[AT.read_at] = device.clock.now = START_NS + silence
@@ -92,8 +91,7 @@ def test_silence_ends_forces_then_the_run(device: Device) -> None:
 
 def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
     device.clock.now += 2 * TIMEOUT_NS
-    assert device.read()[0] == STALE
-    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert device.read()[0] == STALE and device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     # The pause counts as a silence of just more than `quiet_s`; from then on the silence is measured.
     device.clock.now += TIMEOUT_NS - QUIET - 1
     device.word[AT.read_at] = device.clock.now
@@ -111,10 +109,8 @@ def test_a_pause_of_the_loop_is_no_silence(device: Device) -> None:
 
 def test_a_failure_of_the_thread_ends_the_run(device: Device) -> None:
     device.word[AT.failed] = LOST
-    assert device.read()[0] == LOST
-    assert device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0) == LOST
-    assert device.write(*ZERO) == OK
-    assert device.counts() == {}
+    assert device.read()[0] == LOST and device.write(0.0, 1.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    assert device.write(*ZERO) == OK and device.counts() == {}
 
 
 def test_a_force_dropped_by_the_thread_is_reported_once(device: Device) -> None:
@@ -134,10 +130,8 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
     assert device.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
     np.testing.assert_allclose(device.last_wrench(), [3.0, 0.0, -4.0, START_NS + 7, 2.0], atol=1e-12)
     assert device.write(0.0, 0.0, 0.0, 1.0, 1.0, 1.0) == OK  # torque is not displayed
-    assert device.last_wrench() == [0.0, 0.0, 0.0, START_NS + 7, 3.0]
-    assert device.read()[1].tolist() == before
-    assert device.woken.sent == [bytes(ctypes.c_int64(1))] * 3
-    assert device.counts() == {"written": 3, "cut": 1}
+    assert device.last_wrench() == [0.0, 0.0, 0.0, START_NS + 7, 3.0] and device.read()[1].tolist() == before
+    assert device.woken.sent == [bytes(ctypes.c_int64(1))] * 3 and device.counts() == {"written": 3, "cut": 1}
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -145,8 +139,7 @@ def test_a_force_reaches_the_thread_in_the_services_frame(device: Device) -> Non
 def test_a_force_that_is_no_number_is_zero(axis: int, bad: float, device: Device) -> None:
     wrench = [0.0] * 6
     wrench[axis], wrench[3] = bad, bad
-    assert device.write(*wrench) == WITHHELD
-    assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
+    assert device.write(*wrench) == WITHHELD and device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     wrench[axis] = 1.0
     assert device.write(*wrench) == OK
 
@@ -155,16 +148,13 @@ def test_withheld_forces(device: Device) -> None:
     for armed, wake in ((0, FD), (1, -1)):
         device.word[AT.armed], device.word[AT.wake] = armed, wake
         assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
-        assert device.write(*ZERO) == OK
+        assert device.last_wrench()[:3] == [0.0, 0.0, 0.0] and device.write(*ZERO) == OK
     assert len(device.woken.sent) == 2
     device.word[AT.wake], device.word[AT.lock] = FD, 1
     assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert device.write(*ZERO) == WITHHELD
-    assert device.counts() == {"written": 4}
+    assert device.write(*ZERO) == WITHHELD and device.counts() == {"written": 4}
     device.word[AT.lock] = 0
-    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
-    assert device.word[AT.lock] == 0
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK and device.word[AT.lock] == 0
 
 
 def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
@@ -172,13 +162,11 @@ def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     first = device.last_wrench()
     assert [device.write(0.0, 2.0, 0.0, 0.0, 0.0, 0.0, sends=False) for _ in range(2)] == [HELD, HELD]
     assert device.last_wrench() == first and len(device.woken.sent) == 1
-    assert device.counts() == {"written": 1, "held": 2}
-    assert device.write(*ZERO, sends=False) == OK
+    assert device.counts() == {"written": 1, "held": 2} and device.write(*ZERO, sends=False) == OK
     assert device.last_wrench()[:3] == [0.0, 0.0, 0.0]
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == HELD
     device.word[AT.armed] = 0
     assert device.write(0.0, 3.0, 0.0, 0.0, 0.0, 0.0, sends=False) == WITHHELD
     device.word[AT.armed], device.word[AT.handled] = 1, device.word[AT.written]
     assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
-    assert device.last_wrench()[0] == pytest.approx(4.0)
-    assert device.word[AT.lock] == 0
+    assert device.last_wrench()[0] == pytest.approx(4.0) and device.word[AT.lock] == 0

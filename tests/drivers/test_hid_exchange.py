@@ -99,8 +99,7 @@ def test_the_last_report_of_a_tick_is_used(board: Board) -> None:
     reports = [report(n, 0.0, 0.0) for n in (1.0, 2.0, 3.0)]
     status, sample = board.read(reports[0], b"\x07not ours, and longer than ours is", reports[1], reports[2])
     assert (status, sample[1]) == (OK, pytest.approx(0.203))
-    assert board.counts() == {"reports": 3, "drained": 2, "foreign": 1}
-    assert board.read()[0] == STALE
+    assert board.counts() == {"reports": 3, "drained": 2, "foreign": 1} and board.read()[0] == STALE
     status, sample = board.read(report(4.0, 0.0, 0.0), b"\x07 one behind it")
     assert (status, sample[1]) == (OK, pytest.approx(0.204))
     assert board.counts() == {"reports": 4, "drained": 2, "foreign": 2}
@@ -114,8 +113,7 @@ def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
 
 @pytest.mark.parametrize("spoilt", [lambda r: r[:-1], lambda r: r + b"\0", lambda r: r[:1]])
 def test_a_report_of_another_length_is_a_fault(spoilt: Any, board: Board) -> None:
-    assert board.read(spoilt(report(1.0, 0.0, 0.0)))[0] == PROTOCOL
-    assert board.counts() == {}
+    assert board.read(spoilt(report(1.0, 0.0, 0.0)))[0] == PROTOCOL and board.counts() == {}
 
 
 def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
@@ -131,8 +129,7 @@ def test_a_node_that_fails_or_ends_is_lost(board: Board) -> None:
 def test_a_report_that_is_no_pose_is_a_fault(numbers: tuple[float, ...], board: Board) -> None:
     _, before = board.read(report(1.0, 0.0, 0.0))
     assert board.read(report(*numbers))[0] == PROTOCOL
-    assert board.read()[1].tolist() == before.tolist()
-    assert "singular" not in board.counts()
+    assert board.read()[1].tolist() == before.tolist() and "singular" not in board.counts()
 
 
 def test_reports_without_an_id_start_with_their_data(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,19 +138,16 @@ def test_reports_without_an_id_start_with_their_data(monkeypatch: pytest.MonkeyP
     out = {**reports["output"], "id": 0}
     board = Board(monkeypatch, reports={"input": {"bytes": 12, "field": fields}, "output": out})
     status, sample = board.read(struct.pack("<3f", 0.25, 0.0, 0.0))
-    assert (status, sample[1]) == (OK, pytest.approx(0.45))
-    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert (status, sample[1]) == (OK, pytest.approx(0.45)) and sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0]
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     assert board.sent() == [b"\0" + struct.pack("<3i", 0, 0, 1000)]
 
 
 def test_a_force_reaches_the_device_in_its_own_frame(board: Board) -> None:
     for force, status in (((0.5, -1.0, 2.0), OK), ((0.0, 30.0, -40.0), STALE), ((0.0, 0.0, 0.0), OK)):
-        assert board.write(*force, 3.0, 3.0, 3.0) == status
-        assert board.word[BOARD.has_force] == any(force)
+        assert board.write(*force, 3.0, 3.0, 3.0) == status and board.word[BOARD.has_force] == any(force)
     assert board.sent() == [force_report(-1000, -500, 2000), force_report(2400, 0, -3200), force_report(0, 0, 0)]
-    assert board.counts() == {"written": 3, "cut": 1}
-    assert board.write(*ZERO) == OK
+    assert board.counts() == {"written": 3, "cut": 1} and board.write(*ZERO) == OK
     assert board.sent() == [force_report(0, 0, 0)]  # each report triggers an answer, which the loop needs
 
 
@@ -164,16 +158,14 @@ def test_results_of_writing_a_report(board: Board) -> None:
         (None, ETIMEDOUT, TIMEOUT), (None, EIO, LOST), (None, 11, HELD),
     ):  # fmt: skip
         board.node.room, board.node.error = room, error
-        assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == status
-        assert board.word[BOARD.has_force] == 0
+        assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == status and board.word[BOARD.has_force] == 0
         board.word[BOARD.has_force], board.node.room = 1, room
         assert board.write(*ZERO) == status
         assert board.word[BOARD.has_force] == 1  # the zero was not sent
         board.word[BOARD.has_force] = 0
     assert "written" not in board.counts()
     board.node.room = board.node.error = 0
-    assert board.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == HELD
-    assert board.counts() == {"cut": 1}
+    assert board.write(0.0, 0.0, 30.0, 0.0, 0.0, 0.0) == HELD and board.counts() == {"cut": 1}
 
 
 def test_a_force_waits_for_the_pump(board: Board) -> None:
@@ -186,8 +178,6 @@ def test_a_force_waits_for_the_pump(board: Board) -> None:
     assert board.counts() == {"written": 3, "held": 1, "kicks": 1}
     value.value = 2
     board.word[BOARD.armed] = 1
-    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK
-    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
+    assert board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == OK and board.write(0.0, 0.0, 3.0, 0.0, 0.0, 0.0) == HELD
     value.value = 3
-    assert board.write(*ZERO) == OK
-    assert board.sent() == [force_report(0, 0, 3000), force_report(0, 0, 0)]
+    assert board.write(*ZERO) == OK and board.sent() == [force_report(0, 0, 3000), force_report(0, 0, 0)]

@@ -49,8 +49,7 @@ def test_woodenhaptics_v1_layout() -> None:
     wire = rig_options("woodenhaptics-2015").reports
     usable, values = decode(wire.input, bytes.fromhex("f401 e0fc b004 ffff".replace(" ", "")))
     assert usable
-    assert [values[k] for k in "abc"] == [-500, -800, 1200]
-    assert values["buttons"] == 0
+    assert [values[k] for k in "abc"] == [-500, -800, 1200] and values["buttons"] == 0
     _, out = encode(wire.output, current_a=-0.00063, current_b=0.27578, current_c=0.32046)
     assert out.hex() == "00" + "ffff" + "1401" + "4001" + "0000"
 
@@ -63,12 +62,10 @@ def test_woodenhaptics_v2_layout(rig: str, size: int, preset: int) -> None:
     wire = rig_options(rig).reports
     usable, values = decode(wire.input, struct.pack("<7h", 1, -2, 3, 10044, 55, 66, 1).ljust(size, b"\xff"))
     assert usable
-    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44]
-    assert values["buttons"] == 1 + 2
+    assert [values[k] for k in "abcdef"] == [1, -2, 3, 66, 55, 44] and values["buttons"] == 1 + 2
     assert decode(wire.input, struct.pack("<7h", 0, 0, 0, 5000, 0, 0, 0).ljust(size))[1]["buttons"] == 0
     _, out = encode(wire.output, current_a=2.0, current_b=-2.0, current_c=0.0005)
     assert out == b"\0" + struct.pack("<7h", 2000, -2000, 1, 0, 0, 0, 0).ljust(size, b"\0")
-    assert wire.preset is not None
     _, out = encode(wire.preset, preset_a=preset, preset_b=0, preset_c=-5000)
     assert out == b"\0" + struct.pack("<7h", 0, 0, 0, 1, preset, 0, -5000).ljust(size, b"\0")
 
@@ -76,8 +73,7 @@ def test_woodenhaptics_v2_layout(rig: str, size: int, preset: int) -> None:
 def test_makers_descriptors() -> None:
     lengths = {name: [parse_descriptor(hid.descriptor) for hid in board.interfaces] for name, board in BOARDS.items()}
     assert lengths["teensy"] == [({0: 64}, {0: 64}), ({0: 64}, {0: 32})]
-    assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})]
-    assert lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
+    assert lengths["lpc1768-14"] == [({0: 14}, {0: 14})] and lengths["lpc1768-8"] == [({0: 8}, {0: 8})]
 
 
 @given(st.sampled_from(TYPES), st.binary(min_size=4, max_size=4), st.integers(0, 5), st.booleans())
@@ -116,15 +112,6 @@ def test_descriptors_give_report_lengths() -> None:
     assert str(parse_descriptor(numbered)) == "input 6 bytes with id 1 and 2 bytes with id 2, output none"
     with pytest.raises(ValueError, match="truncated"):
         parse_descriptor(numbered[:5])
-
-
-@given(st.binary(max_size=200))
-def test_any_descriptor_is_parsed_or_rejected(data: bytes) -> None:
-    try:
-        lengths_by_interface = parse_descriptor(data)
-    except ValueError:
-        return
-    assert all(length >= 0 for lengths in lengths_by_interface for length in lengths.values())
 
 
 @pytest.mark.parametrize(
@@ -169,6 +156,5 @@ def test_a_named_format_can_be_changed() -> None:
 def test_the_description_in_the_docs_is_valid() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "devices" / "hid.md").read_text("utf-8")
     match = re.search(r"```toml\n(.*?)```", page, re.DOTALL)
-    assert match is not None
     rig = build(Rig, tomllib.loads(match[1]), "docs/devices/hid.md")
     assert build(Options, rig.device.options, "docs/devices/hid.md [device]").reports.input.id == 3

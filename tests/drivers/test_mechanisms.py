@@ -1,4 +1,4 @@
-"""Paddle, pantograph, delta and three-joint arm: closed forms, derivatives, power, singular poses, limits."""
+"""Paddle, pantograph, delta and three-joint arm: closed forms, published values, derivatives, power, singular poses."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,24 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from emulators.woodenhaptics import TABLE, Arm
+from helpers.hid_devices import RIGS, rig_options
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 
 from softfinger.config.load import build, load_rig
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid.device import Options as HidOptions
-from softfinger.drivers.kinematics import delta, options, pantograph
-from softfinger.drivers.kinematics.mechanism import (
-    FULL,
-    LIMITED,
-    NO_MECHANISM,
-    PADDLE,
-    PANTOGRAPH,
-    SINGULAR,
-    compute_command,
-    find_kind,
-    forward_kinematics,
-    make_mechanism,
-)
+from softfinger.drivers.kinematics import chain, delta, mechanism, options, pantograph
+from softfinger.drivers.kinematics.mechanism import FULL, SINGULAR
 
 pytestmark = pytest.mark.plain
 
@@ -61,12 +53,12 @@ def pose(name: str, rng: np.random.Generator) -> tuple[float, float, float]:
 
 class MechanismProbe:
     def __init__(self, kinematics: options.Kinematics) -> None:
-        self.kind, self.mechanism = find_kind(kinematics, False), make_mechanism(kinematics, 5.0)
+        self.kind, self.mechanism = mechanism.find_kind(kinematics, False), mechanism.make_mechanism(kinematics, 5.0)
         self.values, self.last = np.zeros(table.SENSED_SIZE), np.array(self.mechanism.delta.home)
 
     def end(self, joints: Any) -> np.ndarray:
         self.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, orientation, how = forward_kinematics(self.kind, self.mechanism, self.values, self.last)
+        position, orientation, how = mechanism.forward_kinematics(self.kind, self.mechanism, self.values, self.last)
         assert how == FULL
         assert orientation == (1.0, 0.0, 0.0, 0.0)
         return np.array(position)
@@ -75,8 +67,8 @@ class MechanismProbe:
         """Return the status of the force, and torques (N m), or currents (A) of a chain."""
         self.end(joints)
         torques = np.zeros(table.COMMANDED_SIZE)
-        how = compute_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
-        at = table.CURRENT if self.mechanism.chain != NO_MECHANISM.chain else table.TORQUE
+        how = mechanism.compute_command(self.kind, self.mechanism, self.values, self.last, tuple(force), torques)
+        at = table.CURRENT if self.mechanism.chain != mechanism.NO_MECHANISM.chain else table.TORQUE
         return how, torques[at : at + 3]
 
 
@@ -139,7 +131,6 @@ def test_a_paddle_moves_on_its_circle() -> None:
 def test_a_pantograph_inverts_two_triangles(name: str) -> None:
     """Angles by the law of cosines for a position give that position, so the outer links have their length."""
     kinematics, rng = MECHANISMS[name], np.random.default_rng(32)
-    assert isinstance(kinematics, options.Pantograph)
     ask = MechanismProbe(kinematics)
     for _ in range(500):
         x, y = rng.uniform(-0.04, 0.04) + 0.5 * kinematics.base_m, rng.uniform(0.06, 0.13)
@@ -165,7 +156,6 @@ def test_the_published_pantograph() -> None:
 @pytest.mark.parametrize("name", ["delta", "delta with legs elsewhere"])
 def test_a_delta_inverts_its_triangles(name: str) -> None:
     config, rng = MECHANISMS[name], np.random.default_rng(33)
-    assert isinstance(config, options.Delta)
     ask = MechanismProbe(config)
     for _ in range(200):
         p = rng.uniform((-0.02, -0.02, -0.03), (0.02, 0.02, 0.0)) + ask.mechanism.delta.home
@@ -209,7 +199,6 @@ def test_aligned_links_give_no_force() -> None:
 
 def test_a_delta_out_of_reach_has_no_pose() -> None:
     kinematics = MECHANISMS["delta"]
-    assert isinstance(kinematics, options.Delta)
     ask = MechanismProbe(kinematics)
     home = ask.mechanism.delta.home
     angles = delta.compute_leg_angles(ask.mechanism.delta, home)[0]
@@ -217,13 +206,15 @@ def test_a_delta_out_of_reach_has_no_pose() -> None:
     in_line = acos((kinematics.end_m - kinematics.base_m) / (kinematics.arm_m + kinematics.rod_m))
     for joints in ((0.0, 0.0, 3.0), (in_line,) * 3):
         ask.values[table.COUNTS : table.COUNTS + 3] = joints
-        position, _, how = forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
+        position, _, how = mechanism.forward_kinematics(ask.kind, ask.mechanism, ask.values, ask.last)
         assert how == SINGULAR and np.isnan(position).all()
         np.testing.assert_allclose(ask.end(angles), np.subtract(home, kinematics.origin_m), **EXACT)
 
 
 def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
-    d = make_mechanism(options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0).delta
+    d = mechanism.make_mechanism(
+        options.Delta(base_m=0.12, end_m=0.02, arm_m=0.1, rod_m=0.17, torque_max_nm=9.0), 5.0
+    ).delta
     results = set()
     # on the axis all rods are flat where base + arm cos a = end + rod; the end is then as high as the elbows
     flat = 0.1 * sqrt(1.0 - ((0.02 + 0.17 - 0.12) / 0.1) ** 2)
@@ -238,7 +229,8 @@ def test_a_delta_gives_no_force_near_a_singular_pose() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "kind", "joints"), [("paddle", PADDLE, (0.2, 0.0, 0.0)), ("pantograph", PANTOGRAPH, (2.4, 0.7, 0.0))]
+    ("name", "kind", "joints"),
+    [("paddle", mechanism.PADDLE, (0.2, 0.0, 0.0)), ("pantograph", mechanism.PANTOGRAPH, (2.4, 0.7, 0.0))],
 )
 def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tuple[float, float, float]) -> None:
     ask = MechanismProbe(MECHANISMS[name])
@@ -246,6 +238,97 @@ def test_limited_torques_preserve_the_direction(name: str, kind: int, joints: tu
     _, whole = ask.torques(joints, (1.0, 0.5, 0.0))
     ask.mechanism = ask.mechanism._replace(torque_max=0.01)
     how, cut = ask.torques(joints, (1.0, 0.5, 0.0))
-    assert how == LIMITED
+    assert how == mechanism.LIMITED
     assert np.abs(cut).max() == pytest.approx(0.01, abs=1e-15)
     np.testing.assert_allclose(cut * np.abs(whole).max(), whole * 0.01, rtol=1e-12, atol=1e-18)
+
+
+def arm_of(rig: str) -> chain.Chain:
+    return chain.make_chain(rig_options(rig).kinematics)
+
+
+def test_published_positions_and_currents() -> None:
+    arm = arm_of("woodenhaptics-2019")
+    angles = chain.compute_angles(arm, (500.0, -800.0, 1200.0))
+    half = 0.5e-5  # of the last digit
+    np.testing.assert_allclose(chain.forward(arm, angles), (-0.18707, 0.00324, -0.03249), rtol=0, atol=half)
+    along_x, along_z = (chain.compute_currents(arm, angles, f)[0] for f in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+    np.testing.assert_allclose(along_x, (-0.00063, 0.27578, 0.32046), rtol=0, atol=half)
+    np.testing.assert_allclose(along_z, (0.0, 0.05890, 0.10463), rtol=0, atol=half)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_rigs_contain_the_published_table(rig: str) -> None:
+    """Each rig's numbers equal the emulator's table, which was written independently."""
+    capstan, link, body, origin, constants, counts, calibration, aligned = TABLE[RIGS[rig]]
+    kinematics = rig_options(rig).kinematics
+    assert kinematics.capstan_m == pytest.approx([d * 1e-3 for d in capstan], abs=1e-12)  # mm converted to m
+    assert kinematics.body_m == pytest.approx([d * 1e-3 for d in body], abs=1e-12)
+    assert (kinematics.link_m, kinematics.origin_m) == (link, origin)
+    assert (kinematics.torque_constant_nm_per_a, kinematics.counts_per_turn) == (constants, counts)
+    assert (kinematics.calibration_counts, kinematics.aligned) == (calibration, tuple(map(bool, aligned)))
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("rig", RIGS)
+def test_forward_inverts_an_independent_inverse(rig: str) -> None:
+    """20 000 random points of each workspace are recovered to 1e-9 m from angles computed with triangles."""
+    arm, independent = arm_of(rig), Arm(RIGS[rig])
+    radius = rig_options(rig).workspace_radius_m
+    generator = np.random.default_rng(5)
+    points = generator.normal(size=(30_000, 3))
+    points *= (radius * generator.random(len(points)) ** (1 / 3) / np.linalg.norm(points, axis=1))[:, None]
+    # points out of reach of the two links are not in this arm's workspace
+    la, lb, lc = independent.link
+    x, y, z = (points + independent.origin).T
+    reach = np.hypot(np.hypot(x, y), z - la)
+    points = points[(reach < lb + lc) & (reach > abs(lb - lc))][:20_000]
+    assert len(points) == 20_000
+    worst = max(
+        max(abs(u - v) for u, v in zip(chain.forward(arm, independent.angles(point)), point, strict=True))
+        for point in map(tuple, points.tolist())
+    )
+    assert worst < 1e-9
+
+
+@pytest.mark.sampled(3)
+@pytest.mark.parametrize("rig", RIGS)
+def test_jacobian_is_the_derivative(rig: str) -> None:
+    arm = arm_of(rig)
+    generator, h = np.random.default_rng(6), 1e-5
+    for angles in generator.uniform(-1.2, 1.2, (200, 3)):
+        columns = np.array(chain.compute_jacobian(arm, tuple(angles)))
+        for joint in range(3):
+            step = np.eye(3)[joint] * h
+            ahead, behind = (chain.forward(arm, tuple(angles + s)) for s in (step, -step))
+            # h^2/6 of the third derivative, at most the arm's length, and rounding over 2 h
+            np.testing.assert_allclose(columns[joint], np.subtract(ahead, behind) / (2 * h), atol=1e-10)
+        force = generator.normal(size=3)
+        current, cut = chain.compute_currents(arm._replace(current_max=1e9), tuple(angles), tuple(force))
+        np.testing.assert_allclose(current, columns @ force * arm.per_torque, rtol=1e-12, atol=1e-14)
+        assert not cut
+
+
+def test_limited_currents_preserve_the_direction() -> None:
+    arm = arm_of("woodenhaptics-2019")
+    angles = chain.compute_angles(arm, (500.0, -800.0, 1200.0))
+    whole, cut = chain.compute_currents(arm, angles, (5.0, 1.0, 2.0))
+    assert not cut
+    much, cut = chain.compute_currents(arm, angles, (50.0, 10.0, 20.0))
+    assert cut
+    assert max(map(abs, much)) == pytest.approx(2.0, abs=1e-15)
+    np.testing.assert_allclose(np.array(much) / much[2], np.array(whole) / whole[2], rtol=1e-14)
+
+
+def test_wrist_turns_as_published() -> None:
+    """R = Rz(A) Ry(pi/2 - C) Rx(D) Ry(E) Rx(F) equals scipy's composition of axis rotations."""
+    arm = arm_of("woodenhaptics-polhem-v1")
+    generator = np.random.default_rng(8)
+    for a, b, c, d, e, f in generator.uniform(-3, 3, (100, 6)):
+        per_count = 2 * np.pi / 1024
+        counts = (-d / per_count, e / per_count, -f / per_count)  # D and F turn against their counts
+        w, x, y, z = chain.compute_orientation(arm, (a, b, c), counts)
+        expected = Rotation.identity()
+        for axis, angle in (("z", a), ("y", np.pi / 2 - c), ("x", d), ("y", e), ("x", f)):
+            expected = expected * Rotation.from_euler(axis, angle)
+        np.testing.assert_allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), expected.as_matrix(), atol=1e-13)

@@ -14,10 +14,9 @@ import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
 from helpers.garbage import exchange_garbage
 from helpers.hd_stub import PORT, SOURCE, HdStub, TouchBench, hd, hd_library, touch
-from helpers.plain_by_call import matrix, turned
 from helpers.waits import until
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, HapticError
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
 from softfinger.config.load import find
 from softfinger.config.schema import Rig
 from softfinger.drivers import open_devices
@@ -37,8 +36,6 @@ __all__ = ["hd", "hd_library", "touch"]  # fixtures
 
 pytestmark = [pytest.mark.real_time, pytest.mark.skipif(COMPILER is None, reason=NO_COMPILER)]
 
-TURN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""From the library's frame (x right, y up, z towards the user) to the world's (x right, y away from the user, z up)."""
 NAMES = tuple(MODELS)
 OLDEST = SystemDevice("serial", 0x0301, 0x2988, "3D Systems Touch 3D Stylus", "", "/dev/ttyACM0")
 """Product string as the kernel logs it (jhu-saw/sawSensablePhantom)."""
@@ -94,9 +91,7 @@ def test_limits_equal_those_of_chai3d() -> None:
     assert all(a <= b for limits in MODELS.values() for a, b in zip(UNKNOWN, limits, strict=True))
 
 
-def test_unknown_model_runs_with_the_least_limits(
-    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_unknown_model_runs_with_the_least_limits(hd, bench, caplog):
     hd.update(model=6, outputs=6)
     with bench.open() as device:
         assert device.info.actuated_dof == 3 and device.info.force_max_n == 3.3
@@ -104,23 +99,6 @@ def test_unknown_model_runs_with_the_least_limits(
     with pytest.raises(DeviceNotFound, match=r"model = Touch: it is a Something new, serial 70001"):
         bench.open(model="Touch")
     assert hd["opens"] == hd["closes"] == 2 and not hd["running"]
-
-
-def test_poses_and_wrenches_are_turned_into_the_world(hd: HdStub, bench: TouchBench) -> None:
-    place, axis, angle = np.array([11.0, 22.0, -33.0]), 1, -2.5
-    hd.update(model=4, outputs=6, max_force=20.0, axis=axis, turned=angle, x=place[0], y=place[1], z=place[2])
-    hd.reset_hand()
-    with bench.open() as device:
-        servo = DeviceCaller(device)
-        status, sample = servo.read()
-        assert status == OK
-        np.testing.assert_allclose(sample[:3], TURN @ place / 1000, atol=1e-9)
-        np.testing.assert_allclose(matrix(sample[3:7]), TURN @ turned(axis, angle) @ TURN.T, atol=1e-12)
-        until(lambda: servo.write(0.1, -0.2, 0.3, 0.01, -0.02, 0.03) == OK and any(bench.displayed()))
-        force, torque = np.split(np.array(hd.wrench()), 2)
-        np.testing.assert_allclose(TURN @ force, [0.1, -0.2, 0.3], atol=1e-15)
-        np.testing.assert_allclose(TURN @ torque / 1000, [0.01, -0.02, 0.03], atol=1e-15)
-    assert hd["misuse"] == 0
 
 
 # --- opening ---
@@ -159,9 +137,7 @@ def test_calibration_by_itself_is_updated(hd: HdStub, bench: TouchBench) -> None
     assert (hd["updated"], hd["update_style"]) == (3, library.AUTO)
 
 
-def test_calibration_in_the_inkwell_waits_for_the_user(
-    hd: HdStub, bench: TouchBench, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_calibration_in_the_inkwell_waits_for_the_user(hd, bench, caplog):
     hd.update(style=library.INKWELL, calibration=library.NEEDS_MANUAL_INPUT)
     with pytest.raises(DeviceError, match="not calibrated: put the stylus into the inkwell"):
         bench.open(calibration_wait_s=0.1)
@@ -196,9 +172,7 @@ def test_encoders_are_reset_only_if_the_rig_allows_it(hd: HdStub, bench: TouchBe
         (library.COMM_ERROR, DeviceNotFound, "does not answer.*0x0302.*FireWire.*shows 2988 or 0301:2988"),
     ],
 )
-def test_error_of_opening_has_its_kind(
-    code: int, kind: type[HapticError], words: str, hd: HdStub, bench: TouchBench
-) -> None:
+def test_error_of_opening_has_its_kind(code, kind, words, hd, bench):
     hd["init_error"] = code
     with pytest.raises(kind, match=words) as caught:
         bench.open()
@@ -244,9 +218,7 @@ def test_identify_gives_no_force(hd: HdStub, bench: TouchBench) -> None:
         (NEWEST, 'SUBSYSTEM=="usb", ENV{DEVTYPE}=="usb_device", ATTR{idVendor}=="2988", ATTR{idProduct}=="0304"'),
     ],
 )
-def test_each_generation_of_the_touch_is_claimed(
-    device: SystemDevice, rule: str, hd: HdStub, bench: TouchBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_generation_of_the_touch_is_claimed(device, rule, hd, bench, monkeypatch):
     claim = find_claim(device)
     assert claim is not None and (claim.driver, claim.bus, claim.rigs) == ("openhaptics", device.bus, ("touch",))
     (line,) = [line for line in make_udev_rules().splitlines() if line.startswith(rule)]
@@ -266,9 +238,7 @@ def test_each_generation_of_the_touch_is_claimed(
         bench.open()
 
 
-def test_a_device_that_usb_does_not_list_is_identified(
-    hd: HdStub, bench: TouchBench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_usb_does_not_list_is_identified(hd, bench, tmp_path, capsys):
     rig = tmp_path / "touch.toml"
     text = find("touch", Rig).read_text("utf-8")
     rig.write_text(text.replace('driver = "openhaptics"', f'driver = "openhaptics"\nlibrary_file = "{hd.path}"'))

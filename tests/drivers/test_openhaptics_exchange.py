@@ -205,11 +205,9 @@ def test_a_force_that_is_too_old_is_ended(library: Library) -> None:
     library.write(*PULL)
     for _ in range(5):
         assert library.displays(*PULL)
-    assert library.displays(*ZERO)
-    assert library.displays(*ZERO)
+    assert library.displays(*ZERO) and library.displays(*ZERO)
     for status, displayed in ((WITHHELD, ZERO), (OK, PULL)):
-        assert library.write(*PULL) == status
-        assert library.displays(*displayed)
+        assert library.write(*PULL) == status and library.displays(*displayed)
         assert library.counts()["lapses"] == 1
 
 
@@ -219,12 +217,10 @@ def test_a_pause_of_the_librarys_thread_ends_the_force(library: Library) -> None
     library.clock.now += AGE_MAX
     library.write(*PULL)
     library.frame(1)
-    assert library.displayed_force() == [0.0, 0.0, 0.0]
-    assert library.counts()["lapses"] == 1
+    assert library.displayed_force() == [0.0, 0.0, 0.0] and library.counts()["lapses"] == 1
     library.frame()
     assert library.displayed_force() == [0.0, 0.0, 0.0]  # written before the servo detected it
-    assert library.write(*PULL) == WITHHELD
-    assert library.write(*PULL) == OK
+    assert library.write(*PULL) == WITHHELD and library.write(*PULL) == OK
     assert library.displays(*PULL)
 
 
@@ -238,8 +234,7 @@ def test_late_frames_withhold_the_force(library: Library) -> None:
         assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
     assert statuses == [OK] * 5 + [WITHHELD] * 25  # in the first 5 ms no frame was late
     library.frame()
-    assert library.write(*PULL) == OK
-    assert library.displays(*PULL)
+    assert library.write(*PULL) == OK and library.displays(*PULL)
 
 
 def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> None:
@@ -249,10 +244,8 @@ def test_a_force_that_never_reaches_the_motors_is_a_lapse(library: Library) -> N
         assert library.displayed_force() == [0.0, 0.0, 0.0]
     assert library.counts()["lapses"] == 1
     library.frame()
-    assert library.write(*PULL) == WITHHELD
-    assert library.displays(*ZERO)
-    assert library.write(*PULL) == OK
-    assert library.displays(*PULL)
+    assert library.write(*PULL) == WITHHELD and library.displays(*ZERO)
+    assert library.write(*PULL) == OK and library.displays(*PULL)
 
 
 def test_writes_while_frames_have_stopped(library: Library) -> None:
@@ -287,8 +280,7 @@ def test_no_force_unless_armed_and_running(name: str, value: int, library: Libra
     library.word[getattr(AT, name)] = value
     assert library.frame() == (OVER if name == "is_leaving" else AGAIN)
     assert library.displayed_force() == [0.0, 0.0, 0.0] and library.displayed_force(TORQUE) == [0.0, 0.0, 0.0]
-    assert library.output == 0
-    assert library.word[AT.has_sent_zero] == (name == "stopped")
+    assert library.output == 0 and library.word[AT.has_sent_zero] == (name == "stopped")
     assert library.word[AT.has_left] == (name == "is_leaving")
 
 
@@ -301,17 +293,14 @@ def test_a_stop_during_a_frame_is_confirmed_by_the_next(library: Library) -> Non
         return call(address, arguments)
 
     exchange.call_void = meanwhile
-    assert library.frame() == AGAIN
-    assert [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [0, 0]
+    assert library.frame() == AGAIN and [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [0, 0]
     exchange.call_void = call
-    assert library.frame() == OVER
-    assert [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [1, 1]
+    assert library.frame() == OVER and [library.word[at] for at in (AT.has_sent_zero, AT.has_left)] == [1, 1]
 
 
 def test_a_closed_device_is_not_called(library: Library) -> None:
     library.word[AT.open] = 0
-    assert library.frame() == OVER
-    assert library.calls == []
+    assert library.frame() == OVER and library.calls == []
     assert library.read()[0] == LOST
 
 
@@ -322,13 +311,11 @@ def test_no_force_in_the_inkwell(library: Library) -> None:
     assert library.displays(*ZERO)
     assert library.word[AT.docked] == 1 and library.output == 1
     assert [library.write(*PULL) for _ in range(3)] == [WITHHELD] * 3
-    assert library.write(*ZERO) == OK
-    assert library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert library.write(*ZERO) == OK and library.write(nan, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert library.displays(*ZERO)
     library.switch = 1
     assert library.displays(*ZERO)  # wrenches written while it was docked are not used
-    assert library.word[AT.docked] == 0
-    assert library.write(*PULL) == OK
+    assert library.word[AT.docked] == 0 and library.write(*PULL) == OK
     assert library.displays(*PULL)
     library.switch = library.word[AT.has_inkwell] = 0
     library.word[AT.switch] = 0
@@ -351,16 +338,14 @@ def test_a_zero_after_a_lapse_is_ok(library: Library) -> None:
 def test_a_wrench_that_is_no_number_is_zero(place: int, bad: float, library: Library) -> None:
     wrench = list(PULL)
     wrench[place] = bad
-    assert library.write(*wrench) == WITHHELD
-    assert library.displays(*ZERO)
+    assert library.write(*wrench) == WITHHELD and library.displays(*ZERO)
     assert library.write(*PULL) == OK
 
 
 @pytest.mark.parametrize(("armed", "stopped"), [(0, 0), (1, 1), (0, 1)])
 def test_a_device_that_is_not_armed_withholds(armed: int, stopped: int, library: Library) -> None:
     library.word[AT.armed], library.word[AT.stopped] = armed, stopped
-    assert library.write(*PULL) == WITHHELD
-    assert library.write(*ZERO) == OK
+    assert library.write(*PULL) == WITHHELD and library.write(*ZERO) == OK
     library.write(*PULL)
     library.word[AT.armed], library.word[AT.stopped] = 1, 0
     assert library.displays(*ZERO)
@@ -386,8 +371,7 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     library.frame()
     assert library.calls[-2:] == ["get_error"] * 2
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [status, code, 7]
-    assert library.read()[0] == status
-    assert library.counts()["errors"] == 1
+    assert library.read()[0] == status and library.counts()["errors"] == 1
     sequence = int(library.word[AT.pose_sequence])
     library.frame()
     assert library.displayed_force() == [0.0, 0.0, 0.0] and library.output == 0
@@ -407,8 +391,7 @@ def test_the_most_severe_error_is_reported(library: Library) -> None:
 def test_errors_of_other_devices_are_ignored(library: Library) -> None:
     library.errors = [(COMM_ERROR, 1, OTHER)] * 2
     library.frame()
-    assert library.read()[0] == OK
-    assert library.counts()["errors"] == 2
+    assert library.read()[0] == OK and library.counts()["errors"] == 2
     library.errors = [(COMM_ERROR, 1, NOBODY)]
     library.frame()
     assert library.read()[0] == LOST

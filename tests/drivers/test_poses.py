@@ -1,15 +1,11 @@
 """Recorded poses: reading, checking, resampling, closing into a loop."""
 
-import contextlib
 import logging
 import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.examples import examples
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -46,8 +42,7 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text("qw, qx,qy,qz,note,t,x,y,z\n1,0,0,0,a,0,1,2,3\n\n1,0,0,0,b,0.5,4,5,6\n", encoding="utf-8-sig")
     poses = load_poses(path)
-    assert poses.t.tolist() == [0.0, 0.5]
-    assert poses.position.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert poses.t.tolist() == [0.0, 0.5] and poses.position.tolist() == [[1, 2, 3], [4, 5, 6]]
     assert poses.orientation.tolist() == [[1, 0, 0, 0]] * 2
 
 
@@ -122,8 +117,7 @@ def test_a_truncated_mcap_gives_its_first_part(tmp_path: Path, caplog: pytest.Lo
     path.write_bytes(whole[: len(whole) // 2])
     with caplog.at_level(logging.WARNING, logger="softfinger"):
         part = load_poses(path)
-    assert 100 < len(part.t) < 2000
-    assert part.position.tobytes() == poses.position[: len(part.t)].tobytes()
+    assert 100 < len(part.t) < 2000 and part.position.tobytes() == poses.position[: len(part.t)].tobytes()
     assert "truncated or damaged" in caplog.text
     path.write_bytes(whole[:40])
     with pytest.raises(RecordingError, match="not a readable MCAP"):
@@ -135,7 +129,7 @@ def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
 
     class Trap:
         def __reduce__(self) -> tuple[object, tuple[str]]:
-            return (open, (str(marker), "w"))  # type: ignore[return-value]
+            return (open, (str(marker), "w"))
 
     for arrays in (
         {"timestamp": np.arange(3.0)},
@@ -150,12 +144,6 @@ def test_invalid_npz_files_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"x\.npz"):
         load_poses(path)
     assert not marker.exists()
-
-
-def _valid(ending: str, folder: Path) -> bytes:
-    path = folder / f"seed{ending}"
-    write_blocks(path, [""], [records_of(some_poses(30))[:, None]])
-    return path.read_bytes()
 
 
 SPELLINGS = ("{!r}", "{:.25f}", "{:.30e}", "{:+.17g}", " {:.17g}", "{:.17g}\t")
@@ -184,25 +172,6 @@ def test_a_fault_in_a_long_file_is_located(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("\n".join(lines))
     with pytest.raises(RecordingError, match="line 15001: 9 values, but the header has 8 columns"):
         load_poses(tmp_path / "p.csv")
-
-
-@pytest.mark.parametrize("ending", ENDINGS)
-@settings(examples(25, 60), suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_arbitrary_bytes_give_poses_or_an_error(tmp_path: Path, ending: str, data: st.DataObject) -> None:
-    path = tmp_path / f"fuzz{ending}"
-    content = bytearray(_valid(ending, tmp_path))
-    if data.draw(st.booleans()):
-        for _ in range(data.draw(st.integers(1, 4))):
-            content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
-        content = content[: data.draw(st.integers(0, len(content)))]
-    else:
-        content = bytearray(data.draw(st.binary(max_size=300)))
-    path.write_bytes(bytes(content))
-    with contextlib.suppress(RecordingError):
-        poses = load_poses(path)
-        assert np.isfinite(np.column_stack((poses.t, poses.position, poses.orientation))).all()
-        assert np.all(np.diff(poses.t) > 0)
 
 
 @pytest.mark.parametrize("count", [2, 3, 40])

@@ -4,17 +4,16 @@ The port is a pseudo terminal: the system's code of terminals, with an emulated 
 """
 
 import os
-import re
 import threading
 import time
 
 import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
-from helpers.serial_devices import PLACE, board, opened, rig_options
+from helpers.serial_devices import PLACE, board, opened
 from helpers.waits import fresh
 
-from softfinger.config.errors import ConfigError, DeviceError
+from softfinger.config.errors import DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
 from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
@@ -106,15 +105,3 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         ):
             opened(cable, wake_s=0.2)
         assert all(not any(words[:3]) for words in cable.board.sent)
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "message"),
-    [
-        ("force_max_n", 33.0, "force_max_n = 33.0: must be a number from 0 to 32"),
-        ("timeout_s", 0.01, "timeout_s = 0.01: must be at least quiet_s = 0.02"),
-    ],
-)
-def test_invalid_options_are_rejected(key: str, value: object, message: str) -> None:
-    with pytest.raises(ConfigError, match=re.escape(message)):
-        rig_options(**{key: value})

@@ -101,15 +101,13 @@ def test_the_last_frame_of_a_tick_is_used(board: Board) -> None:
     assert board.counts() == {"bytes": 192, "frames": 3, "drained": 2}
     whole = frame(4.0, 0.0, 0.0)
     for data, status, misread in ((b"Marlin\n", STALE, 7), (whole[:40], STALE, 47), (whole[40:], OK, 0)):
-        assert board.read(data)[0] == status
-        assert board.word[BOARD.misread_bytes] == misread
+        assert board.read(data)[0] == status and board.word[BOARD.misread_bytes] == misread
     assert board.counts() == {"bytes": 192 + 7 + 64, "frames": 4, "drained": 2}
 
 
 def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
     """A tick reads at most 16 kB, four times the kernel's queue of a port; the rest is read in the next tick."""
-    assert board.read(b" " * 40_000)[0] == STALE
-    assert board.counts() == {"bytes": 16 * 1024}
+    assert board.read(b" " * 40_000)[0] == STALE and board.counts() == {"bytes": 16 * 1024}
     assert board.port.reads == 16
     board.read()
     board.read()
@@ -118,31 +116,25 @@ def test_a_flood_does_not_delay_the_loop(board: Board) -> None:
 
 def test_a_port_that_fails_is_lost(board: Board) -> None:
     board.port.error = 5
-    assert board.read()[0] == LOST
-    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
+    assert board.read()[0] == LOST and board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == LOST
     assert board.wake() == LOST
     board.word[BOARD.unsent_bytes] = 10
-    assert board.write(*ZERO) == LOST
-    assert board.wake() == LOST
+    assert board.write(*ZERO) == LOST and board.wake() == LOST
 
 
 def test_a_force_reaches_the_board_in_its_own_frame(board: Board) -> None:
     board.read(frame(0.0, 0.0, 0.0))
-    assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK
-    assert board.sent() == text(-1000, -500, 2000)
+    assert board.write(0.5, -1.0, 2.0, 3.0, 3.0, 3.0) == OK and board.sent() == text(-1000, -500, 2000)
     board.read(frame(0.0, 0.0, 0.0))
-    assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE
-    assert board.sent() == text(3000, 0, -4000)
+    assert board.write(0.0, 30.0, -40.0, 0.0, 0.0, 0.0) == STALE and board.sent() == text(3000, 0, -4000)
     assert board.counts() == {"bytes": 128, "frames": 2, "written": 2, "cut": 1}
 
 
 def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
     assert board.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
     board.read(frame(0.0, 0.0, 0.0)[:63])
-    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD
-    assert board.sent() == text(0, 0, 1000)
-    assert board.write(*ZERO) == OK
-    assert board.sent() == text(0, 0, 0)
+    assert board.write(0.0, 0.0, 2.0, 0.0, 0.0, 0.0) == HELD and board.sent() == text(0, 0, 1000)
+    assert board.write(*ZERO) == OK and board.sent() == text(0, 0, 0)
     assert board.write(*ZERO) == OK  # the board has zero already
     assert board.sent() == b""
     board.read(b"\n" + frame(0.0, 0.0, 0.0)[:62])
@@ -154,12 +146,10 @@ def test_a_force_waits_for_the_complete_answer(board: Board) -> None:
 
 def test_during_a_silence_only_a_zero_after_a_force_is_sent(board: Board) -> None:
     board.clock.now += 21 * MS
-    assert board.write(*ZERO) == OK
-    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert board.write(*ZERO) == OK and board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert board.sent() == b""
     board.word[BOARD.has_force] = 1
-    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
-    assert board.sent() == text(0, 0, 0)
+    assert board.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD and board.sent() == text(0, 0, 0)
 
 
 def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
@@ -173,36 +163,26 @@ def test_a_frame_that_went_out_in_part_is_finished_first(board: Board) -> None:
     board.port.room = 34
     assert board.write(*ZERO) == HELD  # frame completed, but no byte of the zero was accepted
     assert (board.word[BOARD.unsent_bytes], board.word[BOARD.has_force]) == (0, 1)
-    assert board.sent() == text(0, 0, 1000)
-    assert board.counts() == {"written": 1}
+    assert board.sent() == text(0, 0, 1000) and board.counts() == {"written": 1}
     board.port.room = None
-    assert board.block.call(exchange.silence)
-    assert board.sent() == text(0, 0, 0)
+    assert board.block.call(exchange.silence) and board.sent() == text(0, 0, 0)
     assert board.counts() == {"written": 2}
 
 
 def test_a_silent_board_is_woken_by_a_newline(board: Board) -> None:
-    assert board.wake() == OK
-    assert board.sent() == b"\n"
+    assert board.wake() == OK and board.sent() == b"\n"
     board.word[BOARD.has_force] = 1
-    assert board.wake() == OK
-    assert board.sent() == text(0, 0, 0) + b"\n"
+    assert board.wake() == OK and board.sent() == text(0, 0, 0) + b"\n"
     assert board.counts() == {"kicks": 2, "written": 1}
     board.port.room = 0
     assert board.wake() == OK
     assert board.sent() == b"" and board.counts() == {"kicks": 2, "written": 1}
     board.word[BOARD.has_force] = 1
-    assert board.wake() == HELD  # its force was not ended
+    assert board.wake() == HELD  # its force was not set to zero
     board.port.room = 20
     assert board.wake() == OK
     assert board.sent() == text(0, 0, 0)[:20]  # no newline in the middle of a frame
-    assert board.wake() == HELD
-    assert board.counts() == {"kicks": 2, "written": 2}
-
-
-def test_a_frame_received_byte_by_byte(board: Board) -> None:
-    whole = frame(1.0, 0.0, 0.0)
-    assert [board.read(bytes([byte]))[0] for byte in whole] == [STALE] * 63 + [OK]
+    assert board.wake() == HELD and board.counts() == {"kicks": 2, "written": 2}
 
 
 # --- frames described in a rig ---
@@ -269,10 +249,8 @@ def test_a_force_is_written_as_described(board_of_rig: Board) -> None:
 
 def test_resync_bytes_follow_an_unanswered_frame(board_of_rig: Board) -> None:
     assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert board_of_rig.sent() == force_frame(0, 0, 10000)
-    assert board_of_rig.write(*ZERO) == OK
-    assert board_of_rig.sent() == b"\3" * 4 + force_frame(0, 0, 0)
-    assert board_of_rig.wake() == OK
+    assert board_of_rig.sent() == force_frame(0, 0, 10000) and board_of_rig.write(*ZERO) == OK
+    assert board_of_rig.sent() == b"\3" * 4 + force_frame(0, 0, 0) and board_of_rig.wake() == OK
     assert board_of_rig.sent() == b"\3" * 4 + force_frame(0, 0, 0)
     board_of_rig.read(answer(0.0, 0.0, 0.0))
     assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
@@ -282,8 +260,7 @@ def test_resync_bytes_follow_an_unanswered_frame(board_of_rig: Board) -> None:
 
 def test_a_described_board_is_woken_after_its_frame(board_of_rig: Board) -> None:
     board_of_rig.port.room = 3
-    assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK
-    assert board_of_rig.wake() == HELD
+    assert board_of_rig.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK and board_of_rig.wake() == HELD
     assert "kicks" not in board_of_rig.counts()
     board_of_rig.port.room = None
     assert board_of_rig.wake() == OK

@@ -23,14 +23,11 @@ def write_example(folder: Path) -> Path:
     return path
 
 
-def test_the_printed_rig_is_checked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_printed_rig_is_checked(tmp_path, monkeypatch, capsys):
     write_example(tmp_path)
     monkeypatch.chdir(tmp_path)
     lines = [line for kind, _, text in fences(PAGE) if kind == "sh" for line in commands(text)]
-    assert lines == ["softfinger check my-board.toml"]
-    assert main(lines[0].split()[1:]) == 0
+    assert lines == ["softfinger check my-board.toml"] and main(lines[0].split()[1:]) == 0
     assert "on an arc, in its middle along (0.00, 0.00, 1.00) of the world" in capsys.readouterr().out
 
 

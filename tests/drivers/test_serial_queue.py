@@ -2,7 +2,7 @@
 
 The simulated port follows tty_ioctl(4) and the Linux drivers: a UART counts bytes, a USB modem one buffer per write,
 and the driver of a USB chip ignores a flush. The simulated boards have independent frame parsers. The test with a real
-daemon and a real clock is in `test_serial_boards_loop`.
+daemon and a real clock is in `test_serial_boards`.
 """
 
 import ctypes
@@ -159,7 +159,7 @@ class Run:
         self.clock, self.word = self.driver.clock, self.driver.word
         self.port = Port(kind, per_ms, self.reader)
         self.port.now = lambda: self.clock.now
-        self.driver.port = self.port  # type: ignore[assignment]
+        self.driver.port = self.port
         by_call(patch, queue)
         patch.setattr(queue, "read_monotonic_ns", self.clock)
         patch.setattr(exchange, "write_now", self.port.write)
@@ -173,7 +173,7 @@ class Run:
         patch.setattr(CFunction, "ctypes", property(lambda function: lambda handle: int(function(handle))))
         self.device = SerialDevice.__new__(SerialDevice)
         self.device._block, self.device._zero_failure = self.driver.block, ""
-        self.device.info = SimpleNamespace(name="serial")  # type: ignore[assignment]
+        self.device.info = SimpleNamespace(name="serial")
         self.word[AT.counts_unsent] = 1
         self.statuses: list[int] = []
 
@@ -226,9 +226,7 @@ def push(run: Run, line: str) -> None:
 @pytest.mark.parametrize("line", ["sound", "slow", "dead", "dead for a time"])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rig", BOARDS)
-def test_no_old_force_is_played_and_the_last_is_zero(
-    rig: str, kind: str, line: str, end: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_old_force_is_played_and_the_last_is_zero(rig, kind, line, end, monkeypatch):
     run = Run(rig, kind, 1.5 * BOARDS[rig].bytes, monkeypatch)
     run.ticks(20)
     assert run.reader.pushes
@@ -249,9 +247,7 @@ def test_no_old_force_is_played_and_the_last_is_zero(
     assert bool(failure) == (was_stalled and end == "stopped")
 
 
-def test_a_stop_reports_why_its_zero_is_not_confirmed(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_stop_reports_why_its_zero_is_not_confirmed(monkeypatch, caplog):
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.port.stalled = True
@@ -288,8 +284,7 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     run.ticks(50)
     assert run.statuses[22:] == [WITHHELD] * 50
     assert len(run.port.waiting) == 2 * 4 + (waiting if kind == "chip" else 0)
-    assert run.device.warning() == BLOCKED
-    assert run.driver.counts()["blocked"] == 1
+    assert run.device.warning() == BLOCKED and run.driver.counts()["blocked"] == 1
     run.port.stalled = False
     run.ticks(20)
     assert set(run.statuses[-10:]) == {OK}
@@ -297,15 +292,12 @@ def test_a_queue_of_more_than_two_frames_withholds_the_force(kind: str, monkeypa
     assert run.device.warning() == ""
     run.port.stalled = True
     run.ticks(400)
-    assert run.statuses[-1] == TIMEOUT
-    assert run.statuses[-2] == WITHHELD
+    assert run.statuses[-1] == TIMEOUT and run.statuses[-2] == WITHHELD
 
 
 @pytest.mark.parametrize("wrench", [PUSH, ZERO], ids=["in contact", "out of contact"])
 @pytest.mark.parametrize(("timeout_s", "blocked_s"), [(0.1, 0.1), (2.0, 0.25)])
-def test_a_board_that_stops_reading_counts_as_lost_in_time(
-    timeout_s: float, blocked_s: float, wrench: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_board_that_stops_reading_counts_as_lost_in_time(timeout_s, blocked_s, wrench, monkeypatch):
     """It retains its force while it reads nothing, so the run ends after 0.25 s or a shorter `timeout_s`."""
     run = Run("hapkit", "uart", 10.0, monkeypatch, timeout_s=timeout_s)
     run.ticks(20)
@@ -313,8 +305,7 @@ def test_a_board_that_stops_reading_counts_as_lost_in_time(
     run.port.stalled = True
     run.ticks(5)
     run.ticks(3000, wrench)
-    assert run.statuses[-1] == TIMEOUT
-    assert 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
+    assert run.statuses[-1] == TIMEOUT and 1e3 * blocked_s < len(run.statuses) - 20 < 1e3 * blocked_s + 10
     assert run.reader.pushes, "the board keeps its force"
     assert run.device.reason() == BLOCKED
 
@@ -326,21 +317,17 @@ def test_a_zero_behind_a_cut_frame_is_sent_twice(monkeypatch: pytest.MonkeyPatch
     while not 0 < len(run.port.waiting) < 64:  # in the middle of a frame
         run.ticks(1)
     assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.waiting) == 128
+    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 128
     run.goes_on()
     assert not run.reader.pushes and run.reader.rest == b""
-    assert run.driver.block.call(exchange.silence) == 1
-    assert len(run.port.waiting) == 64
+    assert run.driver.block.call(exchange.silence) == 1 and len(run.port.waiting) == 64
 
 
 def test_discard_does_not_interrupt_a_write(monkeypatch: pytest.MonkeyPatch) -> None:
     run = Run("hapkit", "uart", 10.0, monkeypatch)
     run.ticks(20)
     run.word[BOARD.lock] = 1
-    assert run.driver.block.call(exchange.discard) == 0
-    assert run.word[BOARD.armed] == 0
+    assert run.driver.block.call(exchange.discard) == 0 and run.word[BOARD.armed] == 0
     run.word[BOARD.lock] = 0
-    assert run.driver.block.call(exchange.discard) == 1
-    assert run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
+    assert run.driver.block.call(exchange.discard) == 1 and run.driver.write(*PUSH) in (WITHHELD, HELD, STALE)
     assert np.array(run.word)[AT.maybe_torn] == 0  # the write has sent zeros

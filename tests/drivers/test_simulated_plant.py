@@ -7,20 +7,8 @@ import pytest
 from references import handle
 from scipy.linalg import expm as scipy_expm
 
-from softfinger.drivers.simulated.plant import (
-    DELAY_LINE_SIZE,
-    DELAY_MAX,
-    FLUSH_MAX,
-    Handle,
-    Impedance,
-    Plant,
-    PlantState,
-    advance,
-    expm,
-    make_plant,
-    make_rest_state,
-    sense,
-)
+from softfinger.drivers.simulated import plant as simulation
+from softfinger.drivers.simulated.plant import Handle, Impedance, PlantState, make_plant, make_rest_state
 from softfinger.proxy.kernels.jit.decorators import entry
 
 pytestmark = pytest.mark.plain
@@ -37,8 +25,8 @@ def travel(plant, state, commands, goals, turns, line, places, forces):
         command = (commands[i, 0], commands[i, 1], commands[i, 2])
         goal = (goals[i + 1, 0], goals[i + 1, 1], goals[i + 1, 2])
         turn = (turns[i + 1, 0], turns[i + 1, 1], turns[i + 1, 2], turns[i + 1, 3])
-        state = advance(plant, state, command, goal, turn, line)
-        x = sense(plant, state)
+        state = simulation.advance(plant, state, command, goal, turn, line)
+        x = simulation.sense(plant, state)
         for k in range(3):
             forces[i, k] = x[k]
             places[i, k], places[i, 3 + k], places[i, 6 + k] = state.position[k], state.velocity[k], state.force[k]
@@ -49,14 +37,16 @@ def travel(plant, state, commands, goals, turns, line, places, forces):
 class Journey:
     """A plant driven through `commands` (n, 3) from rest at the origin, or from `start`."""
 
-    def __init__(self, plant: Plant, commands, goals=None, turns=None, start: PlantState | None = None) -> None:
+    def __init__(
+        self, plant: simulation.Plant, commands, goals=None, turns=None, start: PlantState | None = None
+    ) -> None:
         commands = np.ascontiguousarray(commands, dtype=float)
         n = len(commands)
         goals = np.zeros((n + 1, 3)) if goals is None else np.ascontiguousarray(goals, dtype=float)
         turns = np.tile(STILL, (n + 1, 1)) if turns is None else np.ascontiguousarray(turns, dtype=float)
         places, self.felt = np.zeros((n, 13)), np.zeros((n, 3))
         state = make_rest_state(tuple(goals[0]), tuple(turns[0])) if start is None else start
-        travel(plant, state, commands, goals, turns, np.zeros(DELAY_LINE_SIZE), places, self.felt)
+        travel(plant, state, commands, goals, turns, np.zeros(simulation.DELAY_LINE_SIZE), places, self.felt)
         self.x, self.v, self.force, self.q = np.split(places, [3, 6, 9], axis=1)
 
 
@@ -81,7 +71,7 @@ def test_damped_mass_runs_down():
     for b in (0.5, 5.0, 8000.0):
         trip = Journey(make_plant(T, Handle((0.2,) * 3, (b,) * 3)), np.zeros((200, 3)), start=moving(0.3))
         t = T * np.arange(1, 201)
-        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=FLUSH_MAX)
+        np.testing.assert_allclose(trip.v[:, 2], 0.3 * np.exp(-b * t / 0.2), rtol=1e-11, atol=simulation.FLUSH_MAX)
         np.testing.assert_allclose(trip.x[:, 2], -0.3 * 0.2 / b * np.expm1(-b * t / 0.2), rtol=1e-12)
 
 
@@ -107,7 +97,7 @@ def test_lag_is_of_first_order():
     np.testing.assert_allclose(trip.x[:, 2], x, rtol=1e-9)  # the closed form itself loses digits at small t
 
 
-@pytest.mark.parametrize("delay", [0, 1, 2, 7, DELAY_MAX])
+@pytest.mark.parametrize("delay", [0, 1, 2, 7, simulation.DELAY_MAX])
 def test_force_acts_after_exactly_the_delay(delay):
     commands = np.zeros((40, 3))
     commands[3] = 0.5, 1.0, -2.0
@@ -220,8 +210,8 @@ def test_matrix_exponential_agrees_with_scipy():
         for matrix in (rng.normal(size=(7, 7)), np.triu(rng.normal(size=(5, 5)), 1), -np.eye(3)):
             want = scipy_expm(scale * matrix)
             # Squaring ten times loses three digits at most.
-            np.testing.assert_allclose(expm(scale * matrix), want, rtol=0.0, atol=1e-12 * np.abs(want).max())
-    assert np.array_equal(expm(np.zeros((3, 3))), np.eye(3))
+            np.testing.assert_allclose(simulation.expm(scale * matrix), want, rtol=0.0, atol=1e-12 * np.abs(want).max())
+    assert np.array_equal(simulation.expm(np.zeros((3, 3))), np.eye(3))
 
 
 @pytest.mark.sampled(1)
@@ -231,7 +221,7 @@ def test_decaying_states_reach_zero(lag):
     commands[:20] = 0.3, -0.2, 0.1
     moved = Journey(make_plant(T, GOOD._replace(damping=(3.0, 8.0, 20.0), lag=lag)), commands)
     for state in (moved.v, moved.force):
-        assert np.all((state == 0.0) | (np.abs(state) >= FLUSH_MAX))
+        assert np.all((state == 0.0) | (np.abs(state) >= simulation.FLUSH_MAX))
     assert np.all(moved.v[-1] == 0.0) and np.all(moved.force[-1] == 0.0)
     # Half a second after the push only the handle's damping remains: v decreases by exp(-B T / M) per tick.
     assert moved.v[3000, 0] / moved.v[2999, 0] == pytest.approx(np.exp(-3.0 / 0.2 * T), rel=1e-12)

@@ -102,9 +102,7 @@ def over(servo: DeviceCaller, reads: int = 5) -> tuple[float, np.ndarray, np.nda
         ({"nose_down": -350, "clockwise": 350}, (0, 0, 0), (1, 0, -1)),
     ],
 )
-def test_a_deflection_moves_or_rotates_the_fingertip(
-    kind: Any, deflection: dict[str, int], direction: tuple[int, ...], axis: tuple[int, ...]
-) -> None:
+def test_a_deflection_moves_or_rotates_the_fingertip(kind, deflection, direction, axis):
     with puck() as (_, servo, end):
         for report in kind(**deflection):
             end.send(report)
@@ -228,8 +226,7 @@ def test_reports_leave_a_pose_in_the_box(cases: Callable[[int, int], int]) -> No
         reports[::2, 0] = generator.integers(1, 4, 50_000)
         counts = generator.integers(0, 65, 100_000)
         total += wild(reports, counts, make_parameters(Options()), deflection, buttons)
-    assert total.sum() == number * 100_000
-    assert total.min() > number * 1_000
+    assert total.sum() == number * 100_000 and total.min() > number * 1_000
 
 
 FREE = {"friction_n": [0.0, 0.0, 0.0], "damping_ns_per_m": [0.0, 0.0, 0.0], "resolution_m": 0.0, "delay_ticks": 0}

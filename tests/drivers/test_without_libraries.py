@@ -1,4 +1,4 @@
-"""Machines whose loader cannot find libusb: one clear error instead of a traceback."""
+"""Machines on which the loader cannot find libusb: one clear error instead of a traceback."""
 
 import json
 import os

@@ -50,7 +50,7 @@ def force(place: Vector, torques: Vector) -> Vector:
         ahead, behind = list(place), list(place)
         ahead[axis] += h
         behind[axis] -= h
-        turn = [leg_angle(leg, (*ahead,)) - leg_angle(leg, (*behind,)) for leg in LEGS]  # type: ignore[arg-type]
+        turn = [leg_angle(leg, (*ahead,)) - leg_angle(leg, (*behind,)) for leg in LEGS]
         out.append(sum(t * d for t, d in zip(torques, turn, strict=True)) / (2 * h))
     x, y, z = out
     return (x, y, z)

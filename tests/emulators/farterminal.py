@@ -3,11 +3,11 @@
 import os
 import threading
 import tty
-from contextlib import suppress
-from typing import Self
+from contextlib import AbstractContextManager, suppress
+from typing import Any, Self
 
 
-class Terminal:
+class Terminal(AbstractContextManager[Any]):
     """Both ends, and a thread that runs `_run` until the board is pulled; `path` is for the driver."""
 
     def __init__(self) -> None:
@@ -42,9 +42,6 @@ class Terminal:
     @property
     def pulled(self) -> bool:
         return self._pulled.is_set()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.pull()

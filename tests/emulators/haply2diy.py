@@ -41,7 +41,7 @@ def place(a: float, b: float) -> tuple[float, float]:
 
 
 class Firmware:
-    """The board's program. `angles` (degrees) are those of links 1 and 2; link 1 is on port 2, 2 on port 1."""
+    """The board's program. `angles` (degrees) of links 1 and 2; link 1 is on port 2, 2 on port 1."""
 
     def __init__(self) -> None:
         self.angles = [168.0, 12.0]

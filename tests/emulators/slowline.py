@@ -16,9 +16,9 @@ import threading
 import time
 import tty
 from collections import deque
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 BITS = 10
 """Bits per byte: start, eight of data, stop."""
@@ -29,7 +29,7 @@ _WORDS = struct.Struct("5q")
 _WRITTEN, _GONE, _FLUSHED, _HEEDED, _TERMINAL = range(5)
 
 
-class SlowLine:
+class SlowLine(AbstractContextManager[Any]):
     def __init__(self, board: str, baud: int, folder: Path) -> None:
         self._far, near = os.openpty()
         tty.setraw(near)
@@ -111,9 +111,6 @@ class SlowLine:
         with suppress(BlockingIOError):  # the host does not read
             os.write(self._far, data)
         return len(data)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._over.set()

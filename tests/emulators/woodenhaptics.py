@@ -79,7 +79,7 @@ class Arm:
             ahead, behind = list(angles), list(angles)
             ahead[joint] += h
             behind[joint] -= h
-            p, q = self.position((*ahead,)), self.position((*behind,))  # type: ignore[arg-type]
+            p, q = self.position((*ahead,)), self.position((*behind,))
             rows.append([(u - v) / (2 * h) for u, v in zip(p, q, strict=True)])
         return _solve(rows, tau)
 
@@ -109,7 +109,6 @@ class Woody(Handle):
         self.report_bytes = report_bytes or {1: 8, 2: 64}[generation]
         self.arm, self.generation = Arm(name), generation
         self.milliamperes: tuple[int, int, int] = (0, 0, 0)
-        self.button = self.calibration_button = False
         self.wrist = (0, 0, 0)
         self.zero = (0, 0, 0)
         """Displayed counts minus true ones: not 0 before calibration."""
@@ -141,7 +140,4 @@ class Woody(Handle):
         a, b, c = (n + z for n, z in zip(self.arm.counts(self.place), self.zero, strict=True))
         if self.generation == 1:
             return struct.pack("<3hH", -a, b, c, 0)
-        d = self.wrist[0] + (10000 if self.button else 0)
-        return struct.pack("<7h", a, b, c, d, *self.wrist[1:], int(self.calibration_button)).ljust(
-            self.report_bytes, b"\0"
-        )
+        return struct.pack("<7h", a, b, c, *self.wrist, 0).ljust(self.report_bytes, b"\0")

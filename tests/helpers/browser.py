@@ -67,7 +67,7 @@ class Screen:
         return np.array(image.crop((x, y, x + w, y + h))).astype(np.int64)
 
     def at(self, point: tuple[float, float, float]) -> tuple[float, float]:
-        """Return the screen position of a point of the page's world, as seen by the page's camera now."""
+        """Return the screen position of a point of the page's world, for the present camera of the page."""
         box = self.page.locator("canvas").first.bounding_box()
         world, view, projection = (np.reshape(matrix, (4, 4)).T for matrix in self.page.evaluate(CAMERA))
         x, y, _, w = projection @ view @ world @ (*point, 1.0)

@@ -1,4 +1,4 @@
-"""Run a device's closed loop through the whole daemon, and compare each tick with the engine on the same poses.
+"""Run a device's closed loop through the daemon, and compare each tick with the engine on the same poses.
 
 python closed_loop.py RIG SCENE TICKS FILE.npy      for tests with an emulated bus, which need a separate process
 

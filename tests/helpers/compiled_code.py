@@ -60,13 +60,13 @@ def compile_step(scene: model.Scene) -> Compiled:
     upright = start.fingers[0].probe.orientation
     arguments = (scene, flatten(scene), start, flatten(start), model.ZERO, upright, 0.001, some)
     dispatcher: Callable[..., Any] = numba.njit(**OPTIONS)(tick)
-    dispatcher.compile(tuple(numba.typeof(a) for a in arguments))  # type: ignore[attr-defined]
-    (ir,) = dispatcher.inspect_llvm().values()  # type: ignore[attr-defined]
+    dispatcher.compile(tuple(numba.typeof(a) for a in arguments))
+    (ir,) = dispatcher.inspect_llvm().values()
     return read(ir)
 
 
 def read(ir: str) -> Compiled:
-    """Read the module of one step, whose callees are all inlined into one function."""
+    """Read the module of one step, with its callees all inlined into one function."""
     (body,) = functions(ir).values()
     operations = Counter(re.findall(r"^  (?:%\S+ = )?(?:tail call|(\w+))", body, re.MULTILINE))
     helpers = ("llvm.mem", "llvm.stack", "llvm.fabs")

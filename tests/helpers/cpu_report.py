@@ -30,7 +30,7 @@ class CpuSeconds(NamedTuple):
         return CpuSeconds(*(late - early for late, early in zip(self, before, strict=True)))
 
 
-class CompileTimer(event.Listener):  # type: ignore[misc]
+class CompileTimer(event.Listener):
     """CPU time of compilations in this process. A kernel compiled within another one counts once."""
 
     def __init__(self) -> None:

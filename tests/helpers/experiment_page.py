@@ -114,7 +114,6 @@ def session(folder: Path, experiment: str) -> Iterator[Session]:
     process = subprocess.Popen(
         words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stderr is not None
     try:
         matches = (re.search(r"http://\S+/", line) for line in process.stderr)
         address = next(match for match in matches if match)[0]

@@ -364,7 +364,7 @@ FAR_RIGS: dict[str, Callable[..., Any]] = {
 
 @contextmanager
 def pressing(name: str, tmp_path: Path, **keys: Any) -> Iterator[FarEnd]:
-    """Open the device of FAR_RIGS with this name, whose hand presses."""
+    """Open the device of FAR_RIGS with this name and a pressing hand."""
     patient = {} if name in ("openhaptics", "forcedimension") else {"timeout_s": 2.0}
     with pytest.MonkeyPatch.context() as patch, FAR_RIGS[name](tmp_path, patch, **patient | keys) as far:
         device = registry.open_device(load_rig(far.rig).device, RATE_HZ)

@@ -12,19 +12,8 @@ import numpy as np
 from numba import types
 
 from softfinger.config.errors import DeviceError, DeviceNotFound
-from softfinger.drivers import registry
-from softfinger.drivers.base import (
-    HELD,
-    LOST,
-    OK,
-    PROTOCOL,
-    SAMPLE_SIZE,
-    TIMEOUT,
-    WITHHELD,
-    Device,
-    DeviceInfo,
-    DeviceIO,
-)
+from softfinger.drivers import base, registry
+from softfinger.drivers.base import HELD, LOST, OK, PROTOCOL, TIMEOUT, WITHHELD, Device, DeviceInfo, DeviceIO
 from softfinger.proxy.kernels.jit.decorators import c_function
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
@@ -48,7 +37,7 @@ def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     number = word[READS]
     word[READS] = number + 1
-    for i in range(SAMPLE_SIZE):
+    for i in range(base.SAMPLE_SIZE):
         sample[i] = 0.0
     fault = word[FAULT]
     sample[0] = 0.005 * np.sin(0.02 * number)

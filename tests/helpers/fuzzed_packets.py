@@ -113,7 +113,8 @@ def _hid(_: Path, data: bytes) -> None:
 def _descriptor(_: Path, data: bytes) -> None:
     from softfinger.drivers.system.descriptor import parse_descriptor
 
-    assert len(str(parse_descriptor(data))) < 100_000
+    lengths = parse_descriptor(data)
+    assert len(str(lengths)) < 100_000 and all(length >= 0 for sizes in lengths for length in sizes.values())
 
 
 def _serial_text(_: Path, data: bytes) -> None:
@@ -213,3 +214,4 @@ def _haply(_: Path, data: bytes) -> None:
         read_inventory(data)
     pose = read_state(data, DeviceRef("inverse3", "049D"), DeviceRef("wireless_verse_grip", "7"))
     assert hypot(*pose.position) <= 10.0 or all(map(isnan, pose.position)), pose
+    _turned_or_nothing(list(pose.orientation))

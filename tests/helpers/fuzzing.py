@@ -143,6 +143,16 @@ def _journal(path: Path) -> None:
         journal.write("finished", trials=1)
 
 
+def _load_poses(path: Path, _: bytes) -> None:
+    import numpy as np
+
+    from softfinger.drivers.poses import load_poses
+
+    poses = load_poses(path)
+    assert np.isfinite(np.column_stack((poses.t, poses.position, poses.orientation))).all()
+    assert (np.diff(poses.t) > 0.0).all()
+
+
 def _poses(path: Path) -> None:
     import numpy as np
 
@@ -158,7 +168,6 @@ def targets() -> dict[str, Target]:
     from softfinger.config.errors import ConfigError, RecordingError
     from softfinger.config.load import load_faults, load_rig, load_scene
     from softfinger.config.mjcf import compile_model
-    from softfinger.drivers.poses import load_poses
     from softfinger.proxy.meshes.reading import parse_mesh
     from softfinger.server.experiment import journal
     from softfinger.server.recording.compare import READ_FIELDS
@@ -186,8 +195,9 @@ def targets() -> dict[str, Target]:
         "scene": Target(_shipped("config/scenes/*.toml"), lambda path, _: load_scene(path), config, ".toml"),
         "rig": Target(_shipped("config/rigs/*.toml"), lambda path, _: load_rig(path), config, ".toml"),
         "faults": Target(_shipped("config/faults/*.toml"), lambda path, _: load_faults(path), config, ".toml"),
-        "poses-csv": Target(_shipped("config/recordings/*.csv"), lambda path, _: load_poses(path), recording, ".csv"),
-        "poses-npz": Target(_written(_poses, ".npz"), lambda path, _: load_poses(path), recording, ".npz"),
+        "poses-csv": Target(_shipped("config/recordings/*.csv"), _load_poses, recording, ".csv"),
+        "poses-npz": Target(_written(_poses, ".npz"), _load_poses, recording, ".npz"),
+        "poses-mcap": Target(_written(_results, ".mcap"), _load_poses, recording, ".mcap"),
         "table": Target(lambda: TABLES, lambda path, _: read_table(path, layout), recording, ".txt"),
         "journal": Target(_written(_journal, ".jsonl"), lambda path, _: journal.read(path), config, ".jsonl"),
         "results-csv": Target(_written(_results, ".csv"), lambda path, _: read_results(path), recording, ".csv"),
@@ -224,6 +234,10 @@ def verdict(target: Target, path: Path, data: bytes) -> str:
     return ""
 
 
+def seeds_of(target: Target) -> list[bytes]:
+    return [seed for seed in target.seeds() if b"[world]" not in seed]  # these would need their model as a file
+
+
 def bound_memory() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + GROWTH_MAX
@@ -232,8 +246,7 @@ def bound_memory() -> None:
 
 def main(name: str, seconds: float, seed: int, folder: Path) -> int:
     chance, target = random.Random(seed), targets()[name]
-    path = folder / f"input{target.ending}"
-    seeds = [seed for seed in target.seeds() if b"[world]" not in seed]  # these would need their model as a file
+    path, seeds = folder / f"input{target.ending}", seeds_of(target)
     if wrong := next(filter(None, (verdict(target, path, seed) for seed in seeds)), ""):
         print(f"of the seeds: {wrong}")
         return 1

@@ -4,8 +4,9 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from helpers import rig_files
 from helpers.waits import eventually
@@ -16,7 +17,7 @@ ID = "049D"
 TESTS = Path(__file__).parents[1]
 
 
-class Service:
+class Service(AbstractContextManager[Any]):
     """Process of the service, controlled by lines on its standard input; it ends with the context."""
 
     def __init__(
@@ -39,7 +40,6 @@ class Service:
 
     def do(self, action: str, **how: Any) -> Any:
         """Send a request; return the answer."""
-        assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": action, **how}) + "\n")
         self.process.stdin.flush()
         return self._line()
@@ -53,29 +53,24 @@ class Service:
 
     def log(self, name: str = ID) -> list[list[float]]:
         """Return times (s, monotonic clock) and forces (N) of a device so far."""
-        return self.do("log", id=name)  # type: ignore[no-any-return]
+        return self.do("log", id=name)
 
     def commands(self, name: str = ID) -> list[tuple[float, list[float]]]:
         """Return times (s, monotonic clock) and forces (N) that the service received for a device."""
-        return self.do("commands", id=name)  # type: ignore[no-any-return]
+        return self.do("commands", id=name)
 
     def kill(self) -> None:
         self.process.kill()
         self.process.wait()
 
     def _line(self) -> Any:
-        assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, "the emulated service has ended"
         return json.loads(line)
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.kill()
         for end in (self.process.stdin, self.process.stdout):
-            assert end is not None
             end.close()
 
 

@@ -13,9 +13,9 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from emulators.hand import Vector
 from emulators.woodenhaptics import Woody
@@ -66,7 +66,7 @@ def described(**changes: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class Answering:
+class Answering(AbstractContextManager[Any]):
     """Thread that answers reports until it is muted or the socket is closed."""
 
     def __init__(self, end: socket.socket, answer: Callable[[bytes], bytes | None]) -> None:
@@ -113,9 +113,6 @@ class Answering:
                 self.end.shutdown(socket.SHUT_RDWR)
             self._thread.join()
             self.end.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.unplug()
@@ -191,7 +188,7 @@ def woody(
         yield device, arm, answering
 
 
-class RefusedNode:
+class RefusedNode(AbstractContextManager[Any]):
     """Regular file instead of a hidraw node that is in use or forbidden."""
 
     def __init__(self) -> None:
@@ -216,9 +213,6 @@ class RefusedNode:
     def mend(self) -> None:
         """Undo `make`; may be called repeatedly."""
         self._undo.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.mend()

@@ -102,7 +102,7 @@ def directions(seed: int, count: int) -> Array:
 
 
 def socket(radius: float, frequency: int = 60) -> Mesh:
-    """A hollow ball whose triangles are all about as far from its centre as the nearest, `radius` (m)."""
+    """A hollow ball with triangles that are all about as far from its centre as the nearest, `radius` (m)."""
     ball = meshes.geodesic(frequency)
     middles = np.linalg.norm(ball.vertices[ball.triangles].mean(axis=1), axis=1)
     return Mesh(ball.vertices * (radius / middles.min()), ball.triangles)

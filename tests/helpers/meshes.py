@@ -101,7 +101,7 @@ def made(surface: surfaces.Arrays) -> Mesh:
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    """Combine several meshes, each with its own vertices."""
+    """Combine several meshes; they share no vertex."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     triangles = [mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)]
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(triangles).astype(np.int32))

@@ -204,24 +204,6 @@ def turned(axis: int, angle: float) -> NDArray[np.float64]:
     return rodrigues(angle * np.eye(3)[axis])
 
 
-NEARLY_A_ROTATION = turned(2, 0.3) @ np.diag([1.004, 1.004, 1.0])
-"""Accepted as a rotation."""
-NO_ROTATIONS = {
-    "mirror": np.diag([1.0, 1.0, -1.0]),
-    "long": np.diag([1.02, 1.0, 1.0]),
-    "short": np.diag([1.0, 0.98, 1.0]),
-    "last": np.diag([1.0, 1.0, 1.02]),
-    "zeros": np.zeros((3, 3)),
-    "nan": np.full((3, 3), np.nan),
-    "askew": np.array([[1.0, 0.2, 0.0], [0.0, np.sqrt(0.96), 0.0], [0.0, 0.0, 1.0]]),
-    # one row is of another length, though the volume is within a hundredth of 1
-    **{
-        f"row {row} {length}": np.diag(np.where(np.arange(3) == row, length, length**-0.49))
-        for row in range(3)
-        for length in (0.9891, 1.0109)
-    },
-}
-"""Matrices that are refused as rotations."""
 ABOUT_Z, SHIFT = turned(2, np.pi / 2), (0.1, 0.2, 0.3)
 HALF = float(np.sqrt(0.5))
 MOUNTING = {"position_m": list(SHIFT), "orientation_wxyz": [HALF, 0.0, 0.0, HALF]}

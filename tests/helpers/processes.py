@@ -5,13 +5,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from helpers.waits import WAIT_S, eventually
+from helpers.waits import eventually
 
 COMMAND: Final = [sys.executable, "-m", "softfinger.server.cli"]
 
 
 def read_command_line(pid: int) -> bytes:
-    """Return the command line of a process, with zeros between its words; empty after its end."""
+    """Return the command line of a process, with zeros between its arguments; empty after its end."""
     with suppress(FileNotFoundError, ProcessLookupError):
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     return b""
@@ -26,9 +26,9 @@ def list_children(pid: int, words: bytes = b"") -> list[int]:
     return [child for child in pids if words in read_command_line(child)]
 
 
-def find_child(pid: int, words: bytes, wait_s: float = WAIT_S) -> int:
+def find_child(pid: int, words: bytes) -> int:
     """Wait until a process has one child with `words` in its command line."""
-    children: list[int] = eventually(lambda: list_children(pid, words), wait_s, every_s=0.01)
+    children: list[int] = eventually(lambda: list_children(pid, words), every_s=0.01)
     assert len(children) == 1, f"children with {words!r}: {children}"
     return children[0]
 

@@ -1,4 +1,4 @@
-"""Errors that a call has to raise, for tests of what they say."""
+"""Errors that a call has to raise, for tests of their text."""
 
 from collections.abc import Callable
 from typing import Any

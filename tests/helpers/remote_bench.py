@@ -1,4 +1,4 @@
-"""Bench whose device runs in another process, reached through the socket named in the environment."""
+"""Bench with a device in another process, reached through the socket named in the environment."""
 
 import json
 import os

@@ -22,7 +22,6 @@ def load_rig_in_process(name: str, device: Mapping[str, Any], overrides: Mapping
 def rig_options(rig: str, **changes: Any) -> Any:
     """Return the options of a shipped rig's driver with changed keys of [device]."""
     device = load_rig(rig).device
-    assert device is not None
     return build(registry.load(device.driver).Options, {**device.options, **changes}, f"{rig} [device]")
 
 

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from emulators.hand import Vector
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 
 from helpers import rig_files
@@ -25,10 +24,8 @@ def opened(cable: Cable, **changes: Any) -> SerialDevice:
 
 
 @contextmanager
-def board(
-    intention: Callable[[float], Vector] = lambda _: PLACE, early_end: bool = False, **changes: Any
-) -> Iterator[tuple[SerialDevice, Board, Cable]]:
-    with Cable(Board(intention, early_end)) as cable, opened(cable, **changes) as device:
+def board(**changes: Any) -> Iterator[tuple[SerialDevice, Board, Cable]]:
+    with Cable(Board(lambda _: PLACE)) as cable, opened(cable, **changes) as device:
         yield device, cable.board, cable
 
 
@@ -42,7 +39,7 @@ def settle(device: SerialDevice, cable: Cable) -> None:
         time.sleep(0.0002)
 
 
-def at_rest(value: Callable[[], int], for_s: float = 0.1) -> bool:
+def at_rest(value: Callable[[], int]) -> bool:
     before = value()
-    time.sleep(for_s)
+    time.sleep(0.1)
     return value() == before

@@ -21,14 +21,13 @@ DT = 1e-3
 class SimulatedHands:
     """Simulation of `softfinger run --scene NAME` until a time.
 
-    name         a shipped scene; its rig plays `instead`, what `load_scene` takes, where that is given
+    name         a shipped scene; its rig plays `instead`, what `load_scene` takes, if given
     model, data  MuJoCo's own
     """
 
     def __init__(self, name: str, instead: Mapping[str, Any] | None = None) -> None:
         scene, rig = load_scene(instead or name), load_rig(f"simulated-{name}")
         tuning = make_tuning(scene, rig.guard)
-        assert tuning.scene.bodies is not None
         owner = tuning.scene.bodies.block.owner
         self.model, self.data = owner.model, owner.data
         pairs = pair_devices(scene, rig)

@@ -9,7 +9,7 @@ named in FILE and must be repeated on an idle one. And if the hypervisor took th
 waits for its device in each attempt (the kernel counts this time), real-time tests have no result.
 
 A garbage collection over numba's objects takes 0.1 s in this process, in which no thread of a test can answer and which
-the sleepers do not see. It is delayed until the test has ended.
+the sleepers do not see. It is delayed until the end of the test.
 """
 
 import gc
@@ -68,14 +68,9 @@ class Sleepers:
     def longest_s(self) -> float:
         """Return the longest time between two wake-ups of a sleeper since the last call, s."""
         for program in self._programs:
-            assert program.stdin is not None
             program.stdin.write(b"\n")
             program.stdin.flush()
-        durations = []
-        for program in self._programs:
-            assert program.stdout is not None
-            durations.append(float(program.stdout.readline()))
-        return max(durations)
+        return max(float(program.stdout.readline()) for program in self._programs)
 
     def rest(self) -> None:
         """Wait until the machine has been free of stalls for REST_S, at most REST_WAIT_S."""

@@ -44,7 +44,7 @@ WAKE_S: Final = 0.2
 
 
 class Case(NamedTuple):
-    """Driver whose cost is measured.
+    """Measured driver.
 
     io, bare  C functions and handle of the driver, and of the bare calls
     peer      file descriptor of the device's end of a packet socket, -1 if there is none
@@ -168,7 +168,7 @@ def falcon(folder: Path) -> Iterator[Case]:
 
 
 def answered(end: socket.socket, answer: bytes, exchange: Callable[[], Any]) -> Any:
-    """Return the result of an exchange, whose first request is answered."""
+    """Return the result of an exchange; its first request is answered."""
 
     def once() -> None:
         with suppress(TimeoutError):
@@ -231,7 +231,7 @@ def spacemouse(_: Path) -> Iterator[Case]:
 
 @contextmanager
 def haply(_: Path) -> Iterator[Case]:
-    """An Inverse3 on the emulated service, whose thread receives the next state 0.5 ms before each tick."""
+    """An Inverse3 on the emulated service; its thread receives the next state 0.5 ms before each tick."""
     waker, ended = os.eventfd(0), threading.Event()
 
     def sleeper() -> None:
@@ -261,13 +261,13 @@ def two_inverse3(_: Path) -> Iterator[list[End]]:
         for name in names:
             service.do("move", id=name, to="clock")
             device = undo.enter_context(haply_devices.opened(service, device_id=name, mounting={}))
-            found.append(End(device, lambda name=name: np.array(service.log(name))[:, [0, 3]]))  # type: ignore[misc]
+            found.append(End(device, lambda name=name: np.array(service.log(name))[:, [0, 3]]))
         yield found
 
 
 @contextmanager
 def touch(folder: Path) -> Iterator[list[End]]:
-    """A Touch on the stub of libHD, whose thread calls the driver once per millisecond."""
+    """A Touch on the stub of libHD; its thread calls the driver once per millisecond."""
     stub = hd_stub.HdStub(compile_stub(hd_stub.SOURCE, folder / "libHD.so.3.4.0", "-pthread"))
     stub["clock"] = 1.0
 

@@ -3,13 +3,14 @@
 import json
 import struct
 from collections.abc import Iterator
-from typing import Any, Self
+from contextlib import AbstractContextManager
+from typing import Any
 
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 
-class Viewer:
+class Viewer(AbstractContextManager[Any]):
     """Client that subscribes to every topic of a server on this machine and collects the messages."""
 
     def __init__(self, port: int) -> None:
@@ -38,9 +39,6 @@ class Viewer:
             self._subscribed[channel["id"]] = channel["topic"]
             wanted.append({"id": channel["id"], "channelId": channel["id"]})
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()

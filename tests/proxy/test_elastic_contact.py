@@ -213,9 +213,7 @@ def spot_under(engine: Engine, records: Any, k: int) -> Any:
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels have the number of rounds as a constant")
 @pytest.mark.parametrize("fingers", [1, 2])
-def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(
-    fingers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_displacement_that_is_not_solved_is_reported_and_not_felt_as_rigid(fingers, monkeypatch):
     """With few rounds; the body bears at most its stiffness times the depth."""
     monkeypatch.setattr(step, "MAX_RIGID_STEPS", 2 + fingers)
     engine, random, unsolved = Engine(scene(True, fingers, youngs_pa=1e3)), np.random.default_rng(58), 0
@@ -251,9 +249,7 @@ def test_a_correction_that_is_not_a_number_is_not_used(fingers: int, monkeypatch
 
 @pytest.mark.skipif(not PLAIN, reason="compiled kernels do not call the replaced function")
 @pytest.mark.parametrize("fingers", [1, 2])
-def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_rounds(
-    fingers: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_contact_that_moves_in_steps_of_encoders_is_mostly_solved_in_two_rounds(fingers, monkeypatch):
     """The start of a tick takes the motion of all probes into account, not only the change of the last tick."""
     calls: list[Any] = []
     rigid = step.step_finger
@@ -292,7 +288,7 @@ def test_two_fingers_displace_each_other_through_the_body() -> None:
 
 
 def test_the_strains_under_two_fingers_are_added() -> None:
-    """Each finger alone strains the pad by less than 10 %."""
+    """One finger strains the pad by less than 10 %."""
     first, second = (np.tile(at(x, 0.0, 0.001), (4, 1)) for x in (-0.009, 0.009))
     assert Engine(scene()).run(first)["contact.nonlinear"][-1] == 0
     both = Engine(scene(fingers=2)).run({"a": first, "b": second})

@@ -92,9 +92,7 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, None)
 
 
-def test_a_missing_extra_is_named_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_missing_extra_is_named_in_one_line(monkeypatch, tmp_path, capsys):
     """`check`, `simulate` and `replay` of a scene that has to be solved; a shipped scene needs no extra."""
     without(monkeypatch)
     monkeypatch.setattr(sys.modules["softfinger.proxy.elastic.prepared"], "_bodies", {})

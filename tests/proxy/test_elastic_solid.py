@@ -16,13 +16,7 @@ from skfem.models.elasticity import lame_parameters, linear_elasticity  # noqa: 
 
 from softfinger.config.errors import ConfigError  # noqa: E402
 from softfinger.config.load import load_scene  # noqa: E402
-from softfinger.proxy.elastic.compliance import (  # noqa: E402
-    compute_vertex_normals,
-    find_largest_rotation_and_strain,
-    make_patch_loads,
-    make_surface_gradient,
-    solve_patches,
-)
+from softfinger.proxy.elastic import compliance  # noqa: E402
 from softfinger.proxy.elastic.factors import Factors  # noqa: E402
 from softfinger.proxy.elastic.prepared import make_solid, make_volume, prepare_body  # noqa: E402
 from softfinger.proxy.elastic.solid import Solid  # noqa: E402
@@ -149,11 +143,11 @@ def test_reciprocity_of_two_patches_before_it_is_imposed() -> None:
     volume = fill(*box(0.03, 0.03, 0.012), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
     tops = np.array([[0.01, 0.012, 0.012], [0.021, 0.017, 0.012]])
-    loads = make_patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
+    loads = compliance.make_patch_loads(solid, tops, np.tile([0.0, 0.0, 1.0], (2, 1)), 0.006)
     first, second = (np.stack([load[:, k].toarray()[:, 0] for load in loads], axis=1) for k in (0, 1))
     forward, back = second.T @ solid.solve(first), first.T @ solid.solve(second)
     assert forward == pytest.approx(back.T, rel=1e-10, abs=1e-10 * abs(forward).max())
-    assert solve_patches(solid, loads).compliance[1, 0] == pytest.approx(
+    assert compliance.solve_patches(solid, loads).compliance[1, 0] == pytest.approx(
         forward, rel=1e-9, abs=1e-9 * abs(forward).max()
     )
 
@@ -185,7 +179,7 @@ def test_rotation_and_strain_of_the_surface_are_those_of_known_displacements() -
     moved = np.zeros((solid.basis.N, 2))
     moved[solid.basis.nodal_dofs.T, 0] = np.cross(turn, places)
     moved[solid.basis.nodal_dofs[0], 1] = 0.002 * places[:, 0]
-    largest = find_largest_rotation_and_strain(make_surface_gradient(solid), moved)
+    largest = compliance.find_largest_rotation_and_strain(compliance.make_surface_gradient(solid), moved)
     assert largest == pytest.approx(np.array([[1e-3, 0.0], [0.0, 0.002]]), abs=1e-12)
 
 
@@ -193,7 +187,9 @@ def test_the_load_of_a_patch_is_one_newton_at_its_centre() -> None:
     """On a body thinner than the radius of the patch: the lower face bears none of the load."""
     volume = fill(*box(0.03, 0.03, 0.004), 0.006)
     solid = Solid(volume, 0.45, lambda x: np.repeat(x[:, 2:] < 1e-9, 3, axis=1))
-    (load, _, _) = make_patch_loads(solid, np.array([[0.014, 0.016, 0.004]]), np.array([[0.0, 0.0, 1.0]]), 0.006)
+    (load, _, _) = compliance.make_patch_loads(
+        solid, np.array([[0.014, 0.016, 0.004]]), np.array([[0.0, 0.0, 1.0]]), 0.006
+    )
     nodal = load.toarray()[:, 0]
     assert nodal.sum() == pytest.approx(1.0, rel=1e-12)
     # The quadrature of the disc, which the facets cut, has an error of some per cent of its radius.
@@ -239,12 +235,11 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
 
     config = pad_scene(tmp_path)
     block, kernel = config.object[0], build_scene(config)
-    assert block.elastic is not None
     volume = make_volume(block, block.elastic.resolution_m)
     solid = make_solid(volume, block.elastic)
     mesh = kernel.objects.body.shape.row[0]
     vertices, corners = mesh.vertices.array.reshape(-1, 3), mesh.corners.array.reshape(-1, 3)
-    normals = compute_vertex_normals(volume.vertices, find_boundary(volume))
+    normals = compliance.compute_vertex_normals(volume.vertices, find_boundary(volume))
     random = np.random.default_rng(46)
     facets = random.choice(np.flatnonzero((kernel.elastic.nodes.array[corners] >= 0).all(axis=1)), 100)
     loads, spots, forces = [], [], random.normal(size=(100, 3))
@@ -252,7 +247,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         weights, places = random.dirichlet([1.0, 1.0, 1.0]), vertices[corners[facet]]
         normal = np.cross(places[1] - places[0], places[2] - places[0])
         own = [((volume.vertices - place) ** 2).sum(axis=1).argmin() for place in places]
-        patches = make_patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
+        patches = compliance.make_patch_loads(solid, volume.vertices[own], normals[own], block.elastic.radius_m)
         loads.append(np.stack([patch @ weights for patch in patches], axis=1))
         up = tuple((normal / np.linalg.norm(normal)).tolist())
         spots.append(make_spot(kernel.elastic, kernel.objects.body, float(facet), tuple(weights @ places), up))
@@ -278,9 +273,7 @@ def test_a_hundred_contacts_displace_the_surface_as_a_direct_solution_does(tmp_p
         ({"reach": [{"region": "below", "z_m": -1.0}]}, "no vertex of the surface"),
     ],
 )
-def test_bad_bodies_are_refused_in_one_line(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, changes: Any, message: str
-) -> None:
+def test_bad_bodies_are_refused_in_one_line(tmp_path, caplog, changes, message):
     caplog.set_level(logging.INFO)
     with pytest.raises(ConfigError, match=message) as refused:
         prepare_body(pad(tmp_path, **changes))
@@ -313,9 +306,7 @@ def test_tetrahedra_of_second_order_are_read_by_their_corners(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("ending", [".msh", ".vtu"])
-def test_a_file_that_is_no_mesh_is_refused_without_other_output(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], ending: str
-) -> None:
+def test_a_file_that_is_no_mesh_is_refused_without_other_output(tmp_path, capfd, ending):
     """As git-lfs leaves it in a clone; meshio prints its own message and exits."""
     pytest.importorskip("meshio")
     file = tmp_path / f"pointer{ending}"

@@ -31,7 +31,7 @@ from softfinger.tools.accuracy.reference import compute_normal_and_curvature
 pytestmark = pytest.mark.plain
 K = 1000.0
 AXES: model.Vec3 = (0.008, 0.006, 0.012)
-TURN: model.Quaternion = tuple(float(part) for part in quaternion([0.4, -0.7, 0.3]))  # type: ignore[assignment]
+TURN: model.Quaternion = tuple(float(part) for part in quaternion([0.4, -0.7, 0.3]))
 SHAPES: dict[str, Any] = {
     "plane": model.Plane((0.6, 0.0, 0.8), 0.02),
     "sphere": model.Sphere(0.03, 1.0),
@@ -65,7 +65,7 @@ def scene(tip: dict[str, Any], *objects: dict[str, Any], friction: dict[str, flo
 
 def minkowski_sum(shape: Any, orientation: ArrayLike, axes: model.Vec3 = AXES) -> model.MinkowskiSum:
     q = np.asarray(orientation, float)
-    return model.MinkowskiSum(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))  # type: ignore[arg-type]
+    return model.MinkowskiSum(shape, axes, tuple(float(part) for part in q / np.linalg.norm(q)), min(axes))
 
 
 def support(axes: ArrayLike, orientation: ArrayLike, n: ArrayLike) -> float:
@@ -80,7 +80,7 @@ def test_gap_is_the_distance_of_the_two_bodies(name: str) -> None:
         axes = tuple(float(a) for a in rng.uniform(0.003, 0.012, 3))
         q = rng.normal(size=4)
         x = np.add(foot, rng.uniform(0.002, 0.02) * np.array(n))
-        minkowski = minkowski_sum(shape, q, axes)  # type: ignore[arg-type]
+        minkowski = minkowski_sum(shape, q, axes)
         gap, point, normal = closest(minkowski, tuple(x))
         gap, center = gap - minkowski.radius, np.add(point, minkowski.radius * np.array(normal))
         # Centre, gap and normal are consistent, to rounding of coordinates of some centimetres.
@@ -158,7 +158,7 @@ def test_rolling_follows_the_shape_operators_of_both_bodies(name: str, method: A
         _, foot, _ = closest(shape, tuple(rng.normal(0.0, 0.04, 3)))
         w = rng.normal(size=3)
         w *= 1.5 / np.linalg.norm(w)
-        true = roll_ellipsoid(shape, AXES, TURN, foot, lambda _, w=w: w)  # type: ignore[misc]
+        true = roll_ellipsoid(shape, AXES, TURN, foot, lambda _, w=w: w)
         assert true.apart < 1e-14  # error of the reference itself: rounding of some forty steps
 
         def error(ticks: int, foot: Any = foot, w: Array = w, true: Any = true) -> float:

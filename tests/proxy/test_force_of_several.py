@@ -121,7 +121,7 @@ def check_statics(name: str, records: Any, probe: Array, static: float, at_rest:
 
 
 def is_stuck(records: Any) -> Array:
-    """Return the ticks in which no contact slides and none has ended, perhaps after a slip in the same tick."""
+    """Return the ticks in which no contact slides and none has separated, perhaps after a slip in the same tick."""
     modes = np.stack([records[f"contacts{i}.mode"] for i in range(3)])
     ended = np.diff(np.count_nonzero(modes, axis=0), prepend=0) < 0
     return np.asarray((modes != SLIDING).all(axis=0) & ~ended)

@@ -5,17 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from references import laws
 from references.hand import Hand, on_plane, plane_engine, pressed
-from references.laws import (
-    ANISOTROPIC,
-    LAWS,
-    SPEED,
-    Array,
-    check_random_handling,
-    rolling,
-    stored_energy,
-    work_of_the_hand,
-)
+from references.laws import ANISOTROPIC, LAWS, rolling
 from references.rotation import matrix, multiply, quaternion
 
 pytestmark = pytest.mark.plain
@@ -69,7 +61,7 @@ def test_steady_slide_has_no_ripple(law: str) -> None:
     [
         ({"stribeck_speed_m_per_s": 0.05}, lambda v: 0.5 + 0.1 * np.exp(-((v / 0.05) ** 2))),
         ({"viscous_s_per_m": 0.5}, lambda v: 0.5 + 0.5 * v),
-        (SPEED, lambda v: 0.5 + 0.1 * np.exp(-((v / 0.05) ** 2)) + 0.5 * v),
+        (laws.SPEED, lambda v: 0.5 + 0.1 * np.exp(-((v / 0.05) ** 2)) + 0.5 * v),
     ],
     ids=["stribeck", "viscous", "both"],
 )
@@ -89,9 +81,7 @@ DIRECTED = {"direction_x": [1.0, 0.0, 0.0], "static_scale": [1.0, 1.0], "kinetic
 @pytest.mark.sampled(3)
 @pytest.mark.parametrize("viscosity", [0.5, 9.0, 14.0, 100.0])
 @pytest.mark.parametrize(("friction", "axis", "scale"), [({}, 0, 1.0), (DIRECTED, 0, 0.25), (DIRECTED, 1, 0.5)])
-def test_viscous_friction_has_one_time_constant(
-    viscosity: float, friction: dict[str, Any], axis: int, scale: float
-) -> None:
+def test_viscous_friction_has_one_time_constant(viscosity, friction, axis, scale):
     """The coupling K and the low-pass (T0 = 10 ms) are in series with the damper c f_N, so the force of a steady drag
     approaches (mu_d + c v) f_N exponentially with T0 + c f_N / K; in a tick of dt by the factor T / (T + dt)."""
     speed, constant = 0.07, 0.01 + scale * viscosity * 1.0 / 1000.0
@@ -234,7 +224,7 @@ def test_force_stays_in_the_cone_and_creates_no_energy(law: str) -> None:
     kinetic = np.array([0.9, 0.4]) if "anisotropic" in law else np.ones(2)
 
     # 90 hands of about 130 ticks are 10^4 cases.
-    def check(records: Array) -> None:
+    def check(records: laws.Array) -> None:
         force, normal = records["force"][:, :2], records["contact.normal_force"]
         assert np.isfinite(records).all()
         assert (normal >= 0.0).all()
@@ -250,6 +240,6 @@ def test_force_stays_in_the_cone_and_creates_no_energy(law: str) -> None:
         largest = 0.004 * normal * (normal**0.3 if "power" in law else 1.0)
         assert (np.abs(records["torque"][:, 2]) <= largest * (1 + EXACT)).all()
         # Several hundred terms of up to 1e-2 J each.
-        assert (work_of_the_hand(records) - stored_energy(records)).min() > -1e-14
+        assert (laws.work_of_the_hand(records) - laws.stored_energy(records)).min() > -1e-14
 
-    check_random_handling(engine, 8, 90, check)
+    laws.check_random_handling(engine, 8, 90, check)

@@ -14,17 +14,13 @@ from softfinger.proxy.heightmaps import compile_heightmap
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.shapes import closest_or_bound
-from softfinger.proxy.kernels.shapes.heightmap.nearest import (
-    HEIGHT_COST,
-    QUERY_BUDGET,
-    compute_gap_within,
-    find_nearest_from,
-)
+from softfinger.proxy.kernels.shapes.heightmap import nearest
+from softfinger.proxy.kernels.shapes.heightmap.nearest import QUERY_BUDGET
 from softfinger.proxy.kernels.shapes.heightmap.surface import MAX_EVALUATIONS
 from softfinger.proxy.kernels.shapes.heightmap.tiles import MAX_LEVELS
 from softfinger.proxy.record import AT, CAUSE_RESTART
 
-LAST: Final = HEIGHT_COST * (5 + 2 * MAX_EVALUATIONS) + 4 * MAX_LEVELS
+LAST: Final = nearest.HEIGHT_COST * (5 + 2 * MAX_EVALUATIONS) + 4 * MAX_LEVELS
 """Number of lookups that a query may exceed its budget by: the current cell and the tiles on the way out."""
 
 
@@ -33,8 +29,8 @@ def ask(shape: Any, points: Any, radius: float, results: Any) -> None:
     """Fill `found` (n, 4) with the cost of nearest and limited-gap queries, the gap, and the nearest point's error."""
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
-        results[k, 0] = find_nearest_from(shape, x, x, QUERY_BUDGET).cost
-        results[k, 1] = compute_gap_within(shape, x, radius, QUERY_BUDGET).cost
+        results[k, 0] = nearest.find_nearest_from(shape, x, x, QUERY_BUDGET).cost
+        results[k, 1] = nearest.compute_gap_within(shape, x, radius, QUERY_BUDGET).cost
         gap, point, normal, _ = closest_or_bound(shape, x)
         results[k, 2] = gap
         off = vec3.sub(vec3.add_scaled(point, gap, normal), x)

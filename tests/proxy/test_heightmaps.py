@@ -28,7 +28,7 @@ pytestmark = pytest.mark.plain
 
 
 @entry
-def compiled_heights(shape, places, results):  # type: ignore[no-untyped-def]
+def compiled_heights(shape, places, results):
     for k in range(len(places)):
         h = compute_height(shape, places[k, 0], places[k, 1])
         results[k, 0], results[k, 1], results[k, 2] = h.z, h.s, h.t
@@ -36,7 +36,7 @@ def compiled_heights(shape, places, results):  # type: ignore[no-untyped-def]
 
 
 @entry
-def compiled_nearest(shape, points, budget, results):  # type: ignore[no-untyped-def]
+def compiled_nearest(shape, points, budget, results):
     for k in range(len(points)):
         x = (points[k, 0], points[k, 1], points[k, 2])
         near = find_nearest_from(shape, x, x, budget)
@@ -46,12 +46,12 @@ def compiled_nearest(shape, points, budget, results):  # type: ignore[no-untyped
 
 
 @entry
-def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
+def compiled_curvature(shape, radius, point, normal):
     return curvature(shape, radius, point, normal)
 
 
 @entry
-def compiled_roll(method, shape, radius, center, normal, turn):  # type: ignore[no-untyped-def]
+def compiled_roll(method, shape, radius, center, normal, turn):
     return roll(method, shape, radius, center, normal, turn)
 
 

@@ -1,14 +1,17 @@
-"""Compiled kernels on disk: which are loaded, which are refused, and that no problem with them prevents a start. Uses
-real processes, a full disk, and real other users if the suite runs as root."""
+"""Compiled kernels on disk: their keys, which are loaded, which are refused, and that no problem with them prevents a
+start. Uses real processes, a full disk, and real other users if the suite runs as root."""
 
+import ast
 import hashlib
 import os
 import pickle
+import re
 import resource
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numba
@@ -16,7 +19,7 @@ import pytest
 from helpers.programs import run_program
 
 from softfinger.proxy.kernels.jit import decorators
-from softfinger.proxy.kernels.jit.cache import MAGIC, Folder, UntrustedCache, kinds_in, make_private
+from softfinger.proxy.kernels.jit.cache import KERNEL_FOLDERS, MAGIC, Folder, UntrustedCache, kinds_in, make_private
 from softfinger.proxy.kernels.jit.rows import Rows
 from softfinger.proxy.kernels.model import Plane
 
@@ -90,8 +93,7 @@ def test_a_kernel_is_loaded_until_a_neighbouring_file_is_edited(scripts: Path, t
     (scripts / "__init__.py").touch()
     cache, outer = tmp_path / "cache", scripts / "outer.py"
     outer.write_text(f"import sys\n{OUTER}\nprint(bool({{'numba.np.arraymath', 'scipy.linalg'}} & sys.modules.keys()))")
-    assert start(outer, cache) == ("4.0 0\nTrue", "")
-    assert start(outer, cache) == ("4.0 1\nFalse", "")
+    assert start(outer, cache) == ("4.0 0\nTrue", "") and start(outer, cache) == ("4.0 1\nFalse", "")
     (kernel,) = kernels(cache)
     for folder in (cache, kernel.parent):
         assert folder.stat().st_mode & 0o777 == 0o700
@@ -105,8 +107,7 @@ def test_a_cached_kernel_may_call_numba_s_allocator(tmp_path: Path) -> None:
     """LLVM would abort the process if the symbol of the allocator were missing."""
     script, cache = tmp_path / "allocates.py", tmp_path / "cache"
     script.write_text(ALLOCATES)
-    assert start(script, cache) == ("1000 0 True", "")
-    assert start(script, cache) == ("1000 1 True", "")
+    assert start(script, cache) == ("1000 0 True", "") and start(script, cache) == ("1000 1 True", "")
 
 
 def flip(place: float) -> Callable[[Path, bytes], object]:
@@ -190,8 +191,7 @@ def test_many_processes_may_start_at_once(scripts: Path, tmp_path: Path) -> None
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(4)]
     assert [process.communicate(timeout=300)[0].split()[0] for process in running] == ["4.0"] * 4
     assert {path.suffix for path in cache.rglob("*") if path.is_file()} == {".kernel"}
-    assert len(kernels(cache)) == 1
-    assert start(scripts / "outer.py", cache) == ("4.0 1", "")
+    assert len(kernels(cache)) == 1 and start(scripts / "outer.py", cache) == ("4.0 1", "")
 
 
 def test_a_program_runs_without_a_home(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
@@ -315,3 +315,96 @@ def test_kinds_in_finds_a_class_in_any_signature() -> None:
     for argument in (plane, (1.0, plane), Rows([plane, plane])):
         kind = numba.typeof(argument)
         assert Plane in kinds_in((kind,)) and Plane in kinds_in((numba.types.TypeRef(kind),))
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("config", "drivers", "proxy", "server", "tools")
+OURS = "softfinger."
+KERNEL = re.compile(
+    r"(jit|entry|outlined|outlined_where\(.*|by_\w+|c_function\(.*|\w+\.of\(.*|\w+\.otherwise)$", re.DOTALL
+)
+"""Decorators of kernels and of functions that select kernels."""
+
+
+def hashed_with(file: str, module: str) -> bool:
+    """Return True if an edit of a module invalidates the cached kernels of a file."""
+    path = module.removeprefix(OURS).replace(".", "/")
+    return f"{path}/".startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS)) or (
+        not file.startswith(tuple(f"{folder}/" for folder in KERNEL_FOLDERS))
+        and Path(f"{path}.py").is_relative_to(Path(file).parent)
+    )
+
+
+def unseen(file: str, text: str) -> list[str]:
+    tree, messages = ast.parse(text), []
+    names = {
+        alias.asname or alias.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(OURS)
+        for alias in node.names
+    }
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef) and any(map(KERNEL.match, map(ast.unparse, function.decorator_list))):
+            used = {node.id for part in function.body for node in ast.walk(part) if isinstance(node, ast.Name)}
+            lost = {name for name in used & names.keys() if not hashed_with(file, str(names[name]))}
+            messages += [f"{file}: {function.name}: {name}" for name in sorted(lost)]
+    return messages
+
+
+@pytest.mark.plain
+def test_names_in_kernels_are_from_hashed_sources() -> None:
+    files = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    texts = {str(path.relative_to(ROOT)): path.read_text("utf-8") for path in files}
+    with_kernels = {file: text for file, text in texts.items() if f"{OURS}proxy.kernels.jit" in text}
+    assert len(with_kernels) > 100
+    assert [message for file, text in with_kernels.items() for message in unseen(file, text)] == []
+
+
+SHOW = r"""
+import os
+import sys
+from pathlib import Path
+import numba
+import numba.extending
+package = Path(sys.argv[1])
+
+def show():
+    from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
+    from softfinger.proxy.kernels.jit.cache import sources_of
+    print(CACHE_DIR, *(sources_of(str(package / name)) for name in sys.argv[2:]), sep="\n", flush=True)
+
+for edited in sys.stdin:
+    if edited.strip():
+        with (package / edited.strip()).open("a") as text:
+            text.write("\nTWICE = 2.0\n")
+    child = os.fork()
+    if child == 0:
+        show()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
+"""
+"""Prints the cache keys after each edit, each in a forked process that imports the package afresh."""
+
+
+def test_an_edit_invalidates_only_the_kernels_it_concerns(tmp_path: Path) -> None:
+    package = tmp_path / "softfinger"
+    for folder in PACKAGES:
+        shutil.copytree(ROOT / folder, package / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    moved_by = {
+        "": [False, False, False, False],
+        "proxy/kernels/friction/torsion.py": [True, False, False, False],
+        "server/loop/guard.py": [True, False, False, False],
+        "drivers/block.py": [True, False, False, False],
+        "tools/accuracy/montana.py": [False, False, True, True],
+        "server/verbs/shipped.py": [False, False, False, False],
+    }
+    site = os.pathsep.join([str(tmp_path), *[path for path in sys.path if path.endswith("site-packages")]])
+    names = ["proxy/kernels/step.py", "tools/accuracy/measure.py", "tools/exchange.py"]
+    # Without site: the installed package must not be imported first.
+    command = [sys.executable, "-S", "-c", SHOW, str(package), *names]
+    edits = "\n".join(["", *moved_by])
+    process = run_program(command, env=os.environ | {"PYTHONPATH": site}, input=edits + "\n", check=True)
+    lines = process.stdout.splitlines()
+    runs = [lines[first : first + 1 + len(names)] for first in range(0, len(lines), 1 + len(names))]
+    changes = [[old != new for old, new in zip(before, after, strict=True)] for before, after in pairwise(runs)]
+    assert dict(zip(moved_by, changes, strict=True)) == moved_by

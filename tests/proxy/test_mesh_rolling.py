@@ -28,7 +28,7 @@ CLEAR = 3
 
 
 def roof(half_angle, length=0.05):
-    """Return two facets of two triangles each, at `half_angle` rad from the horizontal beside a ridge along y."""
+    """Return two facets of two triangles each, `half_angle` rad from horizontal, on both sides of a ridge along y."""
     x, z = length * np.cos(half_angle), -length * np.sin(half_angle)
     vertices = [(side * abs(side) * x, y, abs(side) * z) for side in (-1, 0, 1) for y in (-length, length)]
     return np.array(vertices), np.array([(0, 2, 3), (0, 3, 1), (2, 4, 5), (2, 5, 3)])

@@ -134,7 +134,7 @@ def test_an_open_mesh_is_a_sheet_with_two_sides():
 
 
 def test_a_limit_and_known_triangles_change_no_answer():
-    """A limit hides only triangles beyond it. Among equally near triangles, the query returns the known one."""
+    """A limit hides only triangles beyond it. Of equally near triangles, the query returns the known one."""
     tree = build_tree(*meshes.geodesic(10, 0.05))
     mesh, rng = mesh_of(tree), np.random.default_rng(5)
     for _ in range(200):

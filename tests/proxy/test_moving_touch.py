@@ -323,7 +323,7 @@ def company(objects: list[dict[str, Any]]) -> Scene:
 def test_rolling_on_a_moving_sphere_winds_nothing(cases: Any) -> None:
     """W = (R w_o + r w_f) / (R + r) turns the normal of a roll without slip: n = exp(W t) n_0, with the probe on it,
     DEPTH below the proxy. If anything turns by a in a tick, the error is of third order in a for a single object, since
-    the rotations do not commute, and of second order in the roll among several, whose depth is applied at both ends of
+    the rotations do not commute, and of second order in the roll with several; their depth is applied at both ends of
     a tick."""
     random = np.random.default_rng(3)
     for _ in range(cases(2, 40)):

@@ -131,7 +131,7 @@ def leaving_speed(law: dict[str, Any], speed: float) -> float:
     def left(t: float, y: Array) -> float:
         return float(y[0])
 
-    left.terminal, left.direction = True, -1.0  # type: ignore[attr-defined]
+    left.terminal, left.direction = True, -1.0
     solution = solve_ivp(rates, (0.0, 10.0), [0.0, speed], "DOP853", events=left, rtol=1e-12, atol=1e-14)
     return -float(solution.y_events[0][0][1])
 
@@ -296,7 +296,7 @@ def test_stability_depends_on_the_slope_at_the_force(share: float, grows: bool) 
 
 
 def test_a_linear_law_of_the_general_type_is_bit_identical() -> None:
-    """delta^1 is delta and c = 0 adds nothing, so adding an object does not change the forces of others."""
+    """delta^1 is delta and c = 0 adds nothing, so adding an object does not change other forces."""
     law = model.HuntCrossley(model.PowerNormal(1000.0, 1.0, 3.0), 0.0)
     rng = np.random.default_rng(0)
     for depth, speed in zip(rng.uniform(-1e-3, 5e-3, 500), rng.normal(scale=0.3, size=500), strict=True):

@@ -17,15 +17,7 @@ from numba.core.registry import cpu_target
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
 from softfinger.proxy.kernels.jit.compiler import numba_internals, passes
-from softfinger.proxy.kernels.jit.compiler.numba_internals import (
-    TESTED_VERSIONS,
-    CFunction,
-    InlinedCode,
-    InlinedKernel,
-    KernelCache,
-    KernelChoice,
-    load,
-)
+from softfinger.proxy.kernels.jit.compiler.numba_internals import InlinedKernel, KernelCache
 from softfinger.proxy.kernels.jit.dispatch import by_type
 
 
@@ -53,7 +45,7 @@ kernel(1.0)
 
 def test_this_numba_version_was_verified() -> None:
     """For a new numba version, run this file and add the version to SEEN."""
-    assert numba.__version__.startswith(TESTED_VERSIONS)
+    assert numba.__version__.startswith(numba_internals.TESTED_VERSIONS)
 
 
 def test_kernels_that_allocate_do_not_compile() -> None:
@@ -108,15 +100,13 @@ def test_inlined_kernels_have_no_machine_code(tmp_path: Any) -> None:
         assert caller(3.0) == 3.5
         hits.append(sum(kernel.dispatcher.stats.cache_hits.values()))
         (made,) = kernel.dispatcher.overloads.values()
-        assert isinstance(made.library, InlinedCode) and not made.type_annotation
+        assert isinstance(made.library, numba_internals.InlinedCode) and not made.type_annotation
         assert not cpu_target.target_context.codegen()._engine.is_symbol_defined(made.fndesc.llvm_func_name)
     assert hits == [0, 1]
 
 
 @pytest.mark.parametrize(("large", "calls"), [(0, 1), (10**9, 0)])
-def test_a_small_kernel_with_large_callees_is_left_to_its_callers(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Any, large: int, calls: int
-) -> None:
+def test_a_small_kernel_with_large_callees_is_left_to_its_callers(monkeypatch, tmp_path, large, calls):
     """`finalize`: its code still calls the callee, and computes the same, compiled or loaded from a file."""
     monkeypatch.setattr(numba_internals, "LARGE_CALLEE_BYTES", large)
     monkeypatch.setattr(numba_internals, "LARGE_CALLEE_RATIO", 0)
@@ -182,7 +172,7 @@ def test_only_kernels_that_can_fail_are_checked() -> None:
 
 @pytest.fixture
 def empty_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Kernels of the test are compiled, whatever the user's cache contains."""
+    """Kernels of the test are compiled; the user's cache is not used."""
     monkeypatch.setattr(decorators, "KERNEL_FOLDER", Folder(tmp_path / "kernels"))
 
 
@@ -321,14 +311,14 @@ def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
         results.append(compiled(0.5))
         results.append(sum(compiled.stats.cache_hits.values()))
     assert results == [results[0], 0, results[0], 1]
-    (file,) = folder.path.iterdir()  # type: ignore[union-attr]
-    assert load(folder, file.name, cpu_target.target_context).signature == types.float64(types.float64)
-    assert load(folder, "none.kernel", cpu_target.target_context) is None
+    (file,) = folder.path.iterdir()
+    assert numba_internals.load(folder, file.name, cpu_target.target_context).signature == types.float64(types.float64)
+    assert numba_internals.load(folder, "none.kernel", cpu_target.target_context) is None
 
 
 def test_a_c_function_has_an_address() -> None:
     """`CFunc`: compiled when its address is requested, and callable from C; the linker finds a name added for it."""
-    kernel = CFunction(lambda x: 2 * x, types.int64(types.int64))
+    kernel = numba_internals.CFunction(lambda x: 2 * x, types.int64(types.int64))
     assert kernel.native_name is None and kernel.address and kernel.ctypes(21) == 42
     llvm.add_symbol("softfinger_test_symbol", kernel.address)
     assert llvm.address_of_symbol("softfinger_test_symbol") == kernel.address
@@ -352,7 +342,7 @@ def test_overloads_are_chosen_at_compile_time() -> None:
     outermost: Any = numba.njit(**decorators.OPTIONS)(
         lambda x: (total(One(x)), total(More(x, More(x, One(1.0))), factor=3.0))
     )
-    assert isinstance(total, KernelChoice) and outermost(5.0) == (10.0, 33.0)
+    assert isinstance(total, numba_internals.KernelChoice) and outermost(5.0) == (10.0, 33.0)
     assert (total(One(5.0)), total(More(5.0, More(5.0, One(1.0))), 3.0)) == (10.0, 33.0)
 
 
@@ -391,7 +381,7 @@ def test_a_kernel_that_is_an_argument_leaves_no_address_in_its_caller() -> None:
 
     def caller(x: float) -> float:
         kernel = inner
-        return kernel(x)  # type: ignore[no-any-return]
+        return kernel(x)
 
     library = InlinedKernel(caller, decorators.INLINED, None, numba.njit).dispatcher
     library.compile((types.float64,))

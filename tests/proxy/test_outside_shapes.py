@@ -108,8 +108,7 @@ def test_cone_agrees_with_sampled_points(cone: ModuleType) -> None:
         level = np.hypot(x[0], x[1])
         nearest = np.hypot(*(line - [level, x[2]]).T).min()
         # Any point of the line is at most half a spacing from a sample.
-        assert abs(abs(gap) - nearest) <= 0.5 * spacing
-        assert (gap < 0.0) == (level * c + x[2] * s < 0.0)
+        assert abs(abs(gap) - nearest) <= 0.5 * spacing and (gap < 0.0) == (level * c + x[2] * s < 0.0)
         np.testing.assert_allclose(np.add(point, np.multiply(gap, normal)), x, atol=1e-15)
 
 
@@ -277,10 +276,8 @@ def test_an_outlined_kernel_is_linked_to_a_cached_caller(tmp_path: Path, balls_f
     """A caller loaded from disk calls the query it was compiled with; editing the query compiles both again."""
     file = tmp_path / "softfinger_beads.py"
     shutil.copy(OUTSIDE / file.name, file)
-    assert touched(tmp_path, balls_file) == "0.1 0"
-    assert touched(tmp_path, balls_file) == "0.1 1"
+    assert touched(tmp_path, balls_file) == "0.1 0" and touched(tmp_path, balls_file) == "0.1 1"
     text = file.read_text()
     assert "return least, center, radius" in text
     file.write_text(text.replace("return least, center, radius", "return least + 5e-5, center, radius - 5e-5"))
-    assert touched(tmp_path, balls_file) == "0.05 0"
-    assert touched(tmp_path, balls_file) == "0.05 1"
+    assert touched(tmp_path, balls_file) == "0.05 0" and touched(tmp_path, balls_file) == "0.05 1"

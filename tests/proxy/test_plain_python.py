@@ -54,7 +54,7 @@ def write_records(folder: Path, names: Sequence[str]) -> None:
 
 @pytest.fixture(scope="module")
 def plain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the records of the selected scenes, from another process whose kernels are plain Python."""
+    """Folder with the records of the selected scenes, from another process with kernels as plain Python."""
     folder = tmp_path_factory.mktemp("plain")
     test = test_records_of_a_scene_are_the_same_bits.__name__
     names = [item.callspec.params["name"] for item in request.session.items if item.originalname == test]

@@ -9,24 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import paper_scene
+from helpers import meshes
 from helpers.examples import Cases
+from helpers.hostile_maps import part
+from helpers.touching import R, engine, make_object, visit, write_part
+from references import rolling_cases
 from references.hand import Array
 from references.paper import published
-from references.rolling_cases import (
-    METHODS,
-    PIECED,
-    RADIUS,
-    SHAPES,
-    SMOOTH,
-    has_closed_form,
-    pairs,
-    roll_long,
-    rolled_by,
-    rotation,
-    touching,
-)
+from references.rolling_cases import METHODS, RADIUS, SHAPES, pairs, rolled_by, rotation, touching
 from references.rolling_reference import rolled_path, rolling_equation, zxz_roll, zyx_roll
-from references.rotation import quaternion, rodrigues
+from references.rotation import multiply, quaternion, rodrigues
 from scipy.spatial.transform import Rotation
 
 from softfinger.config.schema import Scene
@@ -41,7 +33,7 @@ from softfinger.tools.accuracy.reference import roll_path
 
 pytestmark = pytest.mark.plain
 
-CLOSED = [name for name, shape in SHAPES.items() if has_closed_form(shape)]
+CLOSED = [name for name, shape in SHAPES.items() if rolling_cases.has_closed_form(shape)]
 
 
 def integrated(shape: Any, radius: float, center: Any, normal: Any, w: Any) -> tuple[Any, Any, float]:
@@ -114,7 +106,7 @@ def test_step_control_reaches_its_tolerance(name: str) -> None:
         end, _, spin = integrated(shape, RADIUS, center, normal, w)
         # 1e-10 of the radius; the error estimate is rougher at jumps of the curvature and does not cover the spin.
         assert np.abs(np.array(out.center) - end).max() < 1e-12
-        assert abs(out.spin - spin) < (1e-9 if name in PIECED else 1e-11)
+        assert abs(out.spin - spin) < (1e-9 if name in rolling_cases.PIECED else 1e-11)
 
 
 def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
@@ -138,7 +130,7 @@ def errors(method: Any, shape: Any, ticks: list[int], seed: int) -> list[float]:
     ],
 )
 def test_order_of_convergence(method: str, name: str, order: float) -> None:
-    distances = errors(METHODS[method], SMOOTH[name], [16, 32, 64], seed=21)
+    distances = errors(METHODS[method], rolling_cases.SMOOTH[name], [16, 32, 64], seed=21)
     for coarse, fine in pairwise(distances):
         # At these ticks the next order contributes two per cent.
         assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
@@ -234,18 +226,19 @@ def test_contact_does_not_drift_off_the_object(cases: Cases, method: str, name: 
     center, normal = touching(SHAPES[name], np.random.default_rng(31))
     # A drift off a smooth object is more than 1e-15 m per step. An ellipsoid's closest point takes long.
     ticks = cases(1000, 10_000_000 if name in ("sphere", "box") else 200_000)
-    off, stretched, _ = roll_long(METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks)
+    off, stretched, _ = rolling_cases.roll_long(
+        METHODS[method], SHAPES[name], RADIUS, center, normal, (6e-4, -3e-4, 4e-4), ticks
+    )
     # On a plane the path leads far away, and rounding grows with the distance: 1e-16 of at most 10 m.
     assert off < 1e-12
     assert stretched < 1e-14
 
 
-R = 0.01
 HIGH_FRICTION = {"friction": {"static": 1000.0, "kinetic": 1000.0}}
 
 
 def engine_path(scene: Scene, follow: Array, turned: Array, dt: float, depth: float = 0.001) -> Array:
-    """Contact points (n, 3) m of a probe whose centre is above `follow` (n, 3), pressed in by `depth`."""
+    """Contact points (n, 3) m of a probe with its centre above `follow` (n, 3), pressed in by `depth`."""
     records = Engine(scene, 1.0 / dt).run(np.hstack([follow + np.array([0.0, 0.0, R - depth]), turned]), dt)
     assert (records["contact.mode"] == ROLLING).all()
     at = AT.contact_point
@@ -326,3 +319,76 @@ def test_a_step_of_the_experiment_has_the_angles_of_its_matrix(method: str) -> N
         axis, _, spin = (zyx_roll if method == "euler_zyx" else zxz_roll)(rodrigues(w), normal)
     assert np.array(out.motion) == pytest.approx(R * np.cross(axis, normal), abs=1e-15)
     assert out.spin == pytest.approx(spin, abs=1e-15)
+
+
+BALL, PILLAR, BOWL = 0.05, 0.03, 0.04
+"""Radii, m."""
+DEPTH, TURN, DESCENT = 1e-3, 0.5, 10
+BODIES = {
+    "ball": (make_object("body", "sphere", radius_m=BALL, position_m=[0.0, 0.0, BALL]), (R - BALL) / (R + BALL)),
+    "pillar": (make_object("body", "cylinder", radius_m=PILLAR), 0.0),
+    "pipe": (make_object("body", "cylinder", radius_m=BOWL, inside=True), 0.0),
+}
+"""Object, and the vertical component of its normal at the fingertip."""
+DISTANCES = {"ball": np.sqrt((BALL + R) ** 2 - (R - BALL) ** 2), "pillar": PILLAR + R, "pipe": BOWL - R}
+"""Distances of the centre from the z axis, m."""
+
+
+def deflections(body, distance, height, outward, ticks):
+    """Difference (n,) m of a hand's force from that of two unwound springs, over the stiffness, at `distance` m from
+    the z axis; the object's normal has this `height`, and points `outward` (+1) or inwards (-1)."""
+    angles = np.linspace(0.0, TURN, ticks)
+    radial = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    up = np.array([0.0, 0.0, 1.0])
+    normals = outward * np.sqrt(1.0 - height**2) * radial + height * up
+    centers = distance * radial + R * up
+    axes = normals - up
+    velocities = distance * np.cross(up, radial)
+    rolls = np.cross(axes, up)
+    rates = (np.einsum("ij,ij->i", velocities, rolls) / (R * np.einsum("ij,ij->i", rolls, rolls)))[:, None] * axes
+    poses = np.empty((ticks, 7))
+    poses[:, :3] = centers - DEPTH * normals - DEPTH * up
+    poses[0, 3:] = (1.0, 0.0, 0.0, 0.0)
+    for tick in range(1, ticks):
+        turn = quaternion(0.5 * (rates[tick - 1] + rates[tick]) * TURN / (ticks - 1))
+        poses[tick, 3:] = multiply(turn, poses[tick - 1, 3:])
+    above = np.linspace(1.2 * DEPTH, 0.0, DESCENT)[:, None] * (normals[0] + up)
+    points = np.concatenate([poses[0, :3] + above, poses[1:, :3]])
+    orientations = np.concatenate([np.tile(poses[0, 3:], (DESCENT, 1)), poses[1:, 3:]])
+    records = visit(engine(body, make_object("floor", "plane")), points, orientations)[DESCENT:]
+    expected = 1000.0 * DEPTH * (normals[1:] + up)
+    return np.linalg.norm(records[:, AT.force : AT.force + 3] - expected, axis=1) / 1000.0
+
+
+def check_second_order(*path):
+    """The path in a tick is straight: half the tick divides the error by four."""
+    long, short = (deflections(*path, ticks).max() for ticks in (101, 201))
+    assert short < 1e-7 and short < 0.3 * long + 1e-9
+
+
+@pytest.mark.parametrize("shape", BODIES)
+def test_rolling_on_two_objects_deflects_nothing(shape):
+    """Wound up by the rotation of the other contact's normal, it would deflect by a part of DEPTH x TURN = 500 um."""
+    body, height = BODIES[shape]
+    check_second_order(body, DISTANCES[shape], height, -1.0 if shape == "pipe" else 1.0)
+
+
+def test_rolling_on_a_heightmap_and_a_floor_deflects_nothing(tmp_path):
+    """A ball half sunk in the floor, as a height map. Without its curvature, 400 um would remain on any pitch."""
+    pitch, sunk, rim = 0.5e-3, 0.025, 0.046
+    across = pitch * (np.arange(200) - 99.5)
+    squares = across[:, None] ** 2 + across**2
+    heights = np.sqrt(np.maximum(BALL**2 - squares, BALL**2 - rim**2)) - sunk
+    height = (R + sunk) / (R + BALL)
+    check_second_order(part(tmp_path, heights, pitch), np.sqrt((BALL + R) ** 2 - (R + sunk) ** 2), height, 1.0)
+
+
+def test_rolling_on_a_mesh_and_a_floor_converges_to_the_ball(tmp_path):
+    """Without the rotation of the normal round edges, 380 um would remain on any mesh."""
+    _, height = BODIES["ball"]
+    errors = []
+    for frequency in (16, 32):
+        file = write_part(tmp_path, *meshes.geodesic(frequency, BALL), name=f"{frequency}.ply")
+        body = make_object("body", "mesh", file=file, position_m=[0.0, 0.0, BALL])
+        errors.append(deflections(body, DISTANCES["ball"], height, 1.0, 501).max())
+    assert errors[1] < 0.5 * errors[0] and errors[1] < 30e-6

@@ -38,17 +38,17 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @entry
-def compiled_closest(shape, x):  # type: ignore[no-untyped-def]
+def compiled_closest(shape, x):
     return closest(shape, x)
 
 
 @entry
-def compiled_curvature(shape, radius, point, normal):  # type: ignore[no-untyped-def]
+def compiled_curvature(shape, radius, point, normal):
     return curvature(shape, radius, point, normal)
 
 
 @entry
-def compiled_transport(shape, v, normal_from, normal_to):  # type: ignore[no-untyped-def]
+def compiled_transport(shape, v, normal_from, normal_to):
     return transport(shape, v, normal_from, normal_to)
 
 
@@ -202,9 +202,7 @@ SYMMETRIC: list[tuple[Any, Triple, float, Triple, Triple]] = [
 
 
 @pytest.mark.parametrize(("shape", "x", "gap", "point", "normal"), SYMMETRIC)
-def test_tied_nearest_points_are_resolved_deterministically(
-    shape: Any, x: Triple, gap: float, point: Triple, normal: Triple
-) -> None:
+def test_tied_nearest_points_are_resolved_deterministically(shape, x, gap, point, normal):
     assert compiled_closest(shape, x) == (gap, point, normal)
 
 
@@ -214,12 +212,10 @@ def test_tied_nearest_points_are_resolved_deterministically(
 def test_any_place_gives_finite_numbers(kind: type, size: float, seed: int, x: Triple) -> None:
     shape = random_shape(kind, np.random.default_rng(seed), size)
     gap, point, normal = compiled_closest(shape, x)
-    assert math.isfinite(gap)
-    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
+    assert math.isfinite(gap) and math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
     assert all(math.isfinite(v) for v in point)
     k1, k2, d1 = compiled_curvature(shape, 0.01, point, normal)
-    assert math.isfinite(k1)
-    assert math.isfinite(k2)
+    assert math.isfinite(k1) and math.isfinite(k2)
     assert math.hypot(*d1) == pytest.approx(1.0, abs=8 * EPS)
 
 
@@ -230,8 +226,7 @@ def test_tiny_coordinates_count_as_zero(shape: Any, x: Triple) -> None:
     nothing = compiled_closest(shape, triple(np.where(np.abs(x) < 1e-80, 0.0, x)))
     # Rounding of lengths below 1 m.
     assert gap == pytest.approx(nothing[0], abs=4 * EPS)
-    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS)
-    assert all(math.isfinite(v) for v in point)
+    assert math.hypot(*normal) == pytest.approx(1.0, abs=4 * EPS) and all(math.isfinite(v) for v in point)
 
 
 @pytest.mark.scaled
@@ -312,8 +307,7 @@ def test_a_fingertip_that_does_not_fit_has_finite_curvature(shape: Any) -> None:
     ]:
         for point, normal, *_ in contacts(hollow, rng):
             k1, k2, _ = compiled_curvature(hollow, radius, triple(point), triple(normal))
-            assert math.isfinite(k1)
-            assert math.isfinite(k2)
+            assert math.isfinite(k1) and math.isfinite(k2)
 
 
 @pytest.mark.scaled

@@ -245,9 +245,7 @@ def test_wave_round_a_cylinder(scene: Make, inside: bool) -> None:
     ("face", "u", "v"), [((1, 0, 0), 1, 2), ((0, -1, 0), 0, 2), ((0, 0, 1), 0, 1), ((0, 0, -1), 0, 1)]
 )
 @pytest.mark.parametrize("inside", [False, True])
-def test_each_face_of_a_box_has_the_two_other_coordinates(
-    scene: Make, face: tuple[int, int, int], u: int, v: int, inside: bool
-) -> None:
+def test_each_face_of_a_box_has_the_two_other_coordinates(scene, face, u, v, inside):
     """u and v are the remaining coordinates in the order x, y, z from the centre of the face, outside and inside."""
     wave = OBLIQUE
     engine = Engine(scene(wave.samples(), SHAPES["box"] | extent(wave) | {"inside": inside}))
@@ -427,9 +425,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
     v=st.floats(-1.0, 1.0),
     border=st.sampled_from(["period", "clamp"]),
 )
-def test_texture_stays_between_its_minimum_and_maximum(
-    tmp_path_factory: Any, grid: Array, u: float, v: float, border: str
-) -> None:
+def test_texture_stays_between_its_minimum_and_maximum(tmp_path_factory, grid, u, v, border):
     if grid.min() == grid.max():
         grid.flat[0] += 1.0
     file = tmp_path_factory.mktemp("grid") / "grid.npy"
@@ -494,7 +490,7 @@ def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.M
     # The steepest slope in the summary is an upper bound of the same magnitude as the measured one.
     places = np.random.default_rng(0).uniform(-0.1, 0.1, (2000, 2))
     steepest = max(math.hypot(s.by_u, s.by_v) for s in (sample(texture, u, v) for u, v in places)) * 3e-4
-    _, slope, bend = compute_bounds(loaded.object[0])  # type: ignore[arg-type]
+    _, slope, bend = compute_bounds(loaded.object[0])
     assert 0.3 * slope < steepest < slope
     step = 1e-6
     bends = [abs(sample(texture, u + step, v).by_u - sample(texture, u - step, v).by_u) for u, v in places]

@@ -1,21 +1,26 @@
-"""Moment about the normal: its limits, and the proxy with a rotational degree of freedom. One type of law per scene. On
-the plane of test_contact_acceptance.py: f_N = 1 N at 1 mm, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz."""
+"""Moment about the normal: its limits, the limit surface that it shares with the tangential force, and the proxy with a
+rotational degree of freedom. One type of law per scene. On the plane of test_contact_acceptance.py: f_N = 1 N at 1 mm,
+mu 0.6 / 0.5, k_z = 0.05 N m/rad, mu_t = 4 mm, 1 kHz."""
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import merged, paper_mapping
 from helpers.examples import Cases, examples
-from hypothesis import given
+from hypothesis import example, given
+from hypothesis import strategies as st
 from references.hand import on_plane, plane_engine, pressed
-from references.laws import SPEED, Array, handling
+from references.laws import ANISOTROPIC, SPEED, Array, check_random_handling, handling
 
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.config.schema import Scene
 from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.numerics.ellipsoid import LAST_STEP_DISTANCE, limit_distance, multiplier, shrink
 from softfinger.proxy.laws import compile_friction_laws, compile_normal_laws, compile_torsion_laws
+from softfinger.proxy.record import ROLLING, SLIDING
 
 pytestmark = pytest.mark.plain
 
@@ -160,3 +165,138 @@ def test_objects_of_a_scene_share_one_law() -> None:
     ]
     with pytest.raises(ConfigError, match="use limit_surface for all objects with torsion, or for none"):
         objects_of({"torsion": {"model": "limit_surface"}})
+
+
+F, TAU = 0.5, 0.004
+"""Semi-axes of the kinetic limit surface under 1 N, N and N m."""
+COUPLED = {"torsion": {"model": "limit_surface"}}
+sizes = st.floats(-12, 12).map(lambda exponent: 10.0**exponent)
+components = st.floats(-1e3, 1e3)
+
+
+@pytest.mark.scaled
+@examples(100, 1000)
+@given(st.tuples(components, components, components), st.tuples(sizes, sizes, sizes))
+@example((0.999999, 2.0, 0.0), (10.0**2.6875, 10.0**11.9375, 1.0))
+@example((0.9999999999988552, 0.09066218073012366, 0.0), (2.3e-7, 1.3e11, 1.0))
+def test_nearest_point_is_on_the_surface_and_straight_below(y, weight):
+    m = multiplier(limit_distance(y), weight)
+    p = shrink(limit_distance(y), weight, m)
+    if np.linalg.norm(y) <= 1.0:
+        assert (m, p) == (0.0, y)
+        return
+    # The multiplier is the only unknown: a point of this form on the surface is the nearest one.
+    assert np.linalg.norm(p) == pytest.approx(1.0, abs=1e-14)
+    assert m >= 0.0
+    exact = np.array(y) / (1.0 + np.array(weight) * m)
+    # Newton's method approaches from outside and never overshoots. The final scaling changes
+    # the point by the last step squared, 1e-18, over the distance of any of its components from the surface.
+    some = [np.linalg.norm(np.array(y)[list(which)]) for n in (1, 2) for which in combinations(range(3), n)]
+    apart = min(abs(size - 1.0) for size in some)
+    assert np.array(p) == pytest.approx(exact, rel=1e-13 if apart > 1e-4 else LAST_STEP_DISTANCE, abs=1e-300)
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("speed", [0.0, 0.002, 0.02, 0.2])
+@pytest.mark.parametrize("rate", [-50.0, 0.5, 5.0])
+def test_steady_slip_divides_the_limit(speed: float, rate: float) -> None:
+    """Slip at v and spin at omega give f = F^2 v / N and tau = tau_max^2 omega / N, N = |(F v, tau_max omega)|."""
+    # Time for the springs to reach their final ratio: ten wind-ups of the slower one.
+    seconds = min(10 * 0.08 / abs(rate), 10 * 0.5e-3 / speed if speed > 0.0 else np.inf) + 0.3
+    ticks = int(1000 * seconds)
+    poses = pressed().poses
+    for i in range(1, ticks + 1):
+        angle = rate * i / 2000
+        poses.append(np.array([speed * i / 1000, 0, R - 0.001, np.cos(angle), 0, 0, np.sin(angle)]))
+    records = plane_engine(material=COUPLED).run(np.array(poses))
+    norm = np.hypot(F * speed, TAU * rate)
+    # If the slip is almost all spin, the force turns slowly: an error of 1e-6 of F remains in the slowest case.
+    assert records["force"][-1, 0] == pytest.approx(-(F**2) * speed / norm, abs=1e-6)
+    assert records["torque"][-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-8)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("heading", [0.3, 2.0])
+def test_steady_slip_on_an_anisotropic_surface(heading: float) -> None:
+    """With semi-axes a, b, t, force and moment are (a^2 v_x, b^2 v_y, t^2 omega) / |(a v_x, b v_y, t omega)|."""
+    velocity, rate = 0.02 * np.array([np.cos(heading), np.sin(heading)]), 4.0
+    hand = pressed().go(400, move=[*(0.4 * velocity), 0], turn=[0, 0, 0.4 * rate])
+    trace = on_plane(hand, material={**COUPLED, "friction": ANISOTROPIC})
+    a, b = 0.5 * 0.9, 0.5 * 0.4
+    norm = np.linalg.norm([a * velocity[0], b * velocity[1], TAU * rate])
+    expected = -np.array([a**2 * velocity[0], b**2 * velocity[1]]) / norm
+    assert trace.force[-1, :2] == pytest.approx(expected, abs=1e-8)
+    assert trace.torque[-1, 2] == pytest.approx(-(TAU**2) * rate / norm, abs=1e-10)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+def test_a_wound_finger_breaks_loose_earlier(share: float) -> None:
+    """If torsion uses a share s of its limit, a drag slides at sqrt(1 - s^2) of the static limit."""
+    hand = pressed().go(100, turn=[0, 0, share * 0.08]).go(200, move=[200 * 7e-6, 0, 0])
+    trace = on_plane(hand, material=COUPLED)
+    slide, start = trace.events[1], trace.ends[1]
+    assert slide == (start + int(np.ceil(0.6e-3 * np.sqrt(1 - share**2) / 7e-6)), "drag")
+    # On that tick the load is at most one step of the drag outside, and is projected back to the static surface.
+    on = (trace.tangential[slide[0]] / 0.6) ** 2 + (trace.torque[slide[0], 2] / TAU) ** 2
+    assert on == pytest.approx(1.0, abs=1e-12)
+
+
+def test_no_coupling_inside_the_limit_surface() -> None:
+    hand = pressed().go(50, move=[2e-4, 0, 0]).go(50, turn=[0, 0, 0.04]).go(50, turn=[0.01, 0, 0])
+    drag = pressed().go(100, move=[0.01, 0, 0]).go(20).go(100, move=[-0.01, 0, 0])
+    spin = pressed().go(100, turn=[0, 0, 0.3]).go(100, turn=[0, 0, -0.5])
+    for motion in (hand, drag, spin):
+        coupled, alone = on_plane(motion, material=COUPLED), on_plane(motion)
+        assert coupled.force == pytest.approx(alone.force, abs=1e-12)
+        assert coupled.torque == pytest.approx(alone.torque, abs=1e-14) and coupled.events == alone.events
+
+
+@pytest.mark.scaled
+def test_load_stays_within_the_limit_surface() -> None:
+    """For random hand motions, (f_T / mu_s f_N)^2 + (tau_n / tau_max)^2 is at most one."""
+    engine = plane_engine(material=COUPLED, coupling={"damping_ns_per_m": 1.0})
+
+    # 90 hands of about 130 ticks: 10^4 cases.
+    def check(records: Array) -> None:
+        normal = records["contact.normal_force"]
+        force, moment = records["contact.tangential_force"], records["torque"][:, 2]
+        pushed = normal > 0.0
+        assert (force[~pushed] == 0.0).all() and (moment[~pushed] == 0.0).all()
+        on = (force[pushed] / (0.6 * normal[pushed])) ** 2 + (moment[pushed] / (0.004 * normal[pushed])) ** 2
+        assert (on <= 1.0 + 1e-9).all()
+
+    check_random_handling(engine, 8, 90, check)
+
+
+def test_a_spin_after_a_slide_continues_to_slip() -> None:
+    trace = on_plane(pressed().go(200, move=[0.01, 0, 0]).go(1000, turn=[0, 0, 5.0]), material=COUPLED)
+    assert trace.causes == ["touch", "drag"] and (trace.mode[300:] == SLIDING).all()
+    assert trace.tangential[-1] < 1e-6 and trace.torque[-1, 2] == pytest.approx(-TAU, rel=1e-9)
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.scaled
+@pytest.mark.parametrize("spin", [0.0, 0.4])
+def test_at_rest_on_the_surface_it_does_not_chatter(cases: Cases, spin: float) -> None:
+    hand, rng = pressed().go(200, move=[0.01, 0, 0], turn=[0, 0, spin]), np.random.default_rng(5)
+    x = hand.x.copy()
+    for _ in range(cases(1000, 3000)):
+        hand.go_to(1, x + 1e-5 * np.array([*rng.integers(-1, 2, 2), 0]))
+    trace = on_plane(hand, material=COUPLED, probe={"position_resolution_m": 1e-5})
+    assert trace.causes == ["touch", "drag", "stop"] and trace.mode[-1] == ROLLING
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1.0])
+@pytest.mark.parametrize("kinetic", [0.0, 0.5])
+def test_flat_surfaces_are_finite(length: float, kinetic: float) -> None:
+    material = {
+        "torsion": {"model": "limit_surface", "friction_length_m": length},
+        "friction": {"static": kinetic * 1.2, "kinetic": kinetic},
+    }
+    hand = pressed().go(200, move=[0.01, 0.003, 0], turn=[0, 0, 1.0]).go(50, move=[0, 0, 0.0009999]).go(3)
+    records = plane_engine(material=material).run(np.array(hand.poses))
+    assert np.isfinite(records).all()
+    normal = records["contact.normal_force"]
+    assert (records["contact.tangential_force"] <= 1.2 * kinetic * normal * (1 + 1e-12)).all()
+    assert (np.abs(records["torque"][:, 2]) <= length * normal * (1 + 1e-12)).all()

@@ -87,7 +87,7 @@ def axis_angles(orientations: Array) -> Array:
 def work_of_the_hand(records: Array) -> Array:
     """Return the work (n,) J of the hand up to each tick: each tick's motion times the wrench at its end.
 
-    For springs, whose energy is convex, this is never less than their stored energy, so a contact that returns more
+    For springs with convex energy, this is never less than their stored energy, so a contact that returns more
     energy than it received is detected at once, at any time step.
     """
     moved = np.diff(records["probe.position"], axis=0)

@@ -57,12 +57,12 @@ def touching(shape: Any, rng: np.random.Generator, radius: float = RADIUS) -> tu
         angle = rng.uniform(0, 2 * np.pi)
         x = (shape.major * np.cos(angle) + x[0], shape.major * np.sin(angle) + x[1], 0.1 * x[2] + 0.001)
     _, point, n = closest(shape, x)
-    return tuple(float(p + radius * c) for p, c in zip(point, n, strict=True)), tuple(map(float, n))  # type: ignore[return-value]
+    return tuple(float(p + radius * c) for p, c in zip(point, n, strict=True)), tuple(map(float, n))
 
 
 def rotation(rng: np.random.Generator, low: float = 0.0, high: float = np.pi) -> model.Vec3:
     w = rng.normal(size=3)
-    return tuple(float(v) for v in w * rng.uniform(low, high) / np.linalg.norm(w))  # type: ignore[return-value]
+    return tuple(float(v) for v in w * rng.uniform(low, high) / np.linalg.norm(w))
 
 
 def rolled_by(method: Any, shape: Any, center: model.Vec3, normal: model.Vec3, w: Any, ticks: int = 1) -> Roll:
@@ -72,7 +72,7 @@ def rolled_by(method: Any, shape: Any, center: model.Vec3, normal: model.Vec3, w
     for _ in range(ticks):
         out = roll(method, shape, RADIUS, center, normal, turn)
         center, normal, spin = out.center, out.normal, spin + out.spin
-    return out._replace(spin=spin)  # type: ignore[no-any-return]
+    return out._replace(spin=spin)
 
 
 @entry

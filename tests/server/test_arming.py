@@ -1,4 +1,4 @@
-"""Arming by the program, by command and by button, on a daemon whose device counts as held by a hand.
+"""Arming by the program, by command and by button, on a daemon with a device that counts as held by a hand.
 
 A replay pushes a fingertip into a plane and drags it. Injected faults make the device count as held by a hand and press
 its button. The device logs each wrench. All tests use one scene, so one loop is compiled (20 s).

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import zmq
 from helpers.called import called, read_stdout
 from helpers.processes import COMMAND
 from helpers.programs import run_program
+from helpers.recorded import printed
 from helpers.telemetry_records import synthetic
 
 from softfinger.server.cli import VERBS, make_parser
@@ -274,6 +276,23 @@ def test_simulate_is_deterministic_and_takes_another_rate(tmp_path):
     out = tmp_path / "fast.npz"
     called(*SIMULATE, "--out", str(out), "--rate", "4000")
     assert len(read_results(out)) == 4 * 2280 + 1
+
+
+def test_the_forces_sent_to_a_device_equal_a_replay(tmp_path):
+    for ending in ("csv", "npz"):
+        forces = str(tmp_path / f"forces.{ending}")
+        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", forces]
+        read_stdout(*words, "--endpoint", f"ipc://{tmp_path}/t")
+        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", forces, "--json"]
+        report = printed(read_stdout(*words))
+        assert report["compared"] == 2281 and set(report["largest"]) == {"force", "torque"}
+
+
+def test_explain_prints_measured_costs():
+    output = read_stdout("check", "--explain", "frictionless-plane", "replay")
+    passive = r"1000 N/m; passive at 1000 Hz .* more than 0\.5"
+    for pattern in (r"cost of a tick.*\d+ ns", r"bare contact.*\d+ ns", passive):
+        assert len(re.findall(pattern, output)) == 1, output
 
 
 def test_output_into_a_closed_pipe_is_no_error():

@@ -15,17 +15,10 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.schema import Scene
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
+from softfinger.drivers.simulated import plant as simulation
 from softfinger.drivers.simulated.device import open_device
 from softfinger.drivers.simulated.options import Options, Simulation, make_simulation
-from softfinger.drivers.simulated.plant import (
-    DELAY_LINE_SIZE,
-    Handle,
-    Impedance,
-    Intention,
-    PlantInputs,
-    make_plant,
-    make_rest_state,
-)
+from softfinger.drivers.simulated.plant import Handle, Impedance, make_plant, make_rest_state
 from softfinger.proxy.kernels.jit.pack import PackedTree, flatten
 from softfinger.proxy.record import AT
 from softfinger.proxy.scene import build_scene
@@ -36,7 +29,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.closed_loop import FIGURES, close_many, run_closed_loop
 
 OPEN_GUARD = Guard(1e9, 1e9, 1e12, 1e12, 0.0, 1.0)
-ALOFT = Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
+ALOFT = simulation.Intention(1.0, 0.0, (0.0, 0.0, 0.0), 0.0, 0.0)
 FORCE = slice(AT.force, AT.force + 3)
 POSITION = slice(AT.probe_position, AT.probe_position + 3)
 
@@ -117,7 +110,7 @@ def compute_figures(
     tunings: PackedTree, plant: Any, state: Any, pose: np.ndarray, ticks: int, bound: float
 ) -> np.ndarray:
     figures = np.zeros((len(tunings.values), len(FIGURES)))
-    drive = PlantInputs(ALOFT, pose, np.zeros(DELAY_LINE_SIZE))
+    drive = simulation.PlantInputs(ALOFT, pose, np.zeros(simulation.DELAY_LINE_SIZE))
     tables = (PackedTree(plant, flatten(plant)[None]), PackedTree(state, flatten(state)[None]))
     close_many(tunings, begin(tunings.like.scene), *tables, drive, ticks, bound, figures)
     return figures

@@ -43,7 +43,7 @@ BEFORE = 48
 
 
 def make_daemon(monkeypatch: pytest.MonkeyPatch, folder: Path, **changes: Any) -> Daemon:
-    """Return a daemon whose device gets force; the slew limit lets it fall to zero within two ticks."""
+    """Return a daemon with a device that gets force; the slew limit lets it fall to zero within two ticks."""
     registered(monkeypatch)
     rig = load_rig("replay", {
         "device.driver": "faulty", "telemetry.endpoint": f"ipc://{folder}/telemetry", "servo.realtime": "off",

@@ -1,4 +1,4 @@
-"""Daemon with failing sinks, devices and threads, and what it leaves behind."""
+"""Daemon with failing sinks, devices and threads, and the remaining files and processes."""
 
 import ctypes
 import logging

@@ -174,7 +174,7 @@ def test_a_jumping_or_frozen_pose_zeroes_only_its_finger(fault: Any, bit: int, u
     assert doubted.tolist() == ([300, 400] if fault == "jump" else list(range(351, 400)))
     assert not devices[1].wrenches[doubted].any() and (records[doubted, 1, AT.contact_mode] == FREE).all()
     after = devices[1].wrenches[doubted + 1, 2] if fault == "jump" else devices[1].wrenches[doubted[-1:] + 1, 2]
-    assert (after > 0.0).all() and (after <= 0.1 * devices[1].wrenches[299, 2]).all()  # a tenth: the ramp begins
+    assert (after > 0.0).all() and (after <= 0.1 * devices[1].wrenches[299, 2]).all()  # a tenth: the start of the ramp
     assert np.abs(records[:, 1, AT.probe_velocity : AT.probe_velocity + 3]).max() < 0.2  # 0.1 m/s without a jump
 
 

@@ -125,7 +125,7 @@ def test_each_finger_has_its_topic_with_the_keys_of_contact(tmp_path: Path) -> N
         until(lambda: running.publisher.figures.subscribers == 2)
         running.start()
         assert running.wait(WAIT_S)
-        played = [device.samples for device in running.devices]  # type: ignore[attr-defined]
+        played = [device.samples for device in running.devices]
         running.close()
         messages = []
         while not messages or messages[-1][1].get("name") != "stopped":

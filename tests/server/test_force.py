@@ -3,7 +3,7 @@
 from itertools import product
 from math import ceil
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,23 +12,12 @@ from hypothesis import strategies as st
 
 from softfinger.config import limits
 from softfinger.proxy.record import AT, RECORD_SIZE
+from softfinger.server import states as machine
 from softfinger.server.loop.force_switch import IS_ACTIVE, IS_REQUESTED, MAX_OFF_S, apply_switch, is_zero, make_switch
 from softfinger.server.loop.guard import DISARMED, RAMPING, TOO_FAST, Guard, GuardState, guard_wrench
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.force import SWITCH_TICKS, Force
-from softfinger.server.states import (
-    CAUSES,
-    COMMANDED_REASON,
-    MEANINGS,
-    NO_HEARTBEAT_REASON,
-    NOT_ARMED_REASON,
-    TOO_FAST_REASON,
-    TRANSITIONS,
-    UNREACHABLE,
-    DaemonState,
-    States,
-    Trigger,
-)
+from softfinger.server.states import COMMANDED_REASON, NOT_ARMED_REASON, TOO_FAST_REASON, DaemonState, Trigger
 
 pytestmark = pytest.mark.plain
 
@@ -39,7 +28,7 @@ NONE_IGNORED = np.zeros(2, np.int64)
 class Loop:
     def __init__(self, unarmed: bool = False) -> None:
         self.ticks, self.switch = 0, make_switch()
-        self.force = Force(unarmed, States(), self.switch, lambda: self.ticks)
+        self.force = Force(unarmed, machine.States(), self.switch, lambda: self.ticks)
 
 
 @given(TICKS)
@@ -148,7 +137,7 @@ EXPECTED = {
 def make_states(state):
     """Return states at `state` and the list of their later notifications."""
     changes = []
-    states = States(lambda *change: changes.append(change))
+    states = machine.States(lambda *change: changes.append(change))
     for trigger in WAYS[state]:
         assert states.fire(trigger, "on the way")
     assert states.now is state
@@ -165,9 +154,9 @@ def test_a_trigger_leads_where_it_should_and_else_nowhere(state, trigger):
 
 
 def test_the_table_is_complete():
-    assert {f"{state} {trigger}": after for (state, trigger), after in TRANSITIONS.items()} == EXPECTED
-    assert set(MEANINGS) == set(DaemonState) and set(CAUSES) == set(Trigger)
-    assert not any(state is DaemonState.STOPPING for state, _ in TRANSITIONS)
+    assert {f"{state} {trigger}": after for (state, trigger), after in machine.TRANSITIONS.items()} == EXPECTED
+    assert set(machine.MEANINGS) == set(DaemonState) and set(machine.CAUSES) == set(Trigger)
+    assert not any(state is DaemonState.STOPPING for state, _ in machine.TRANSITIONS)
 
 
 @pytest.mark.parametrize(
@@ -176,12 +165,12 @@ def test_the_table_is_complete():
         (DaemonState.STARTING, set(), []),
         (DaemonState.READY, set(), ["armed"]),
         (DaemonState.READY, {NOT_ARMED_REASON}, []),
-        (DaemonState.READY, {NO_HEARTBEAT_REASON}, ["faulted"]),
-        (DaemonState.READY, {UNREACHABLE}, ["faulted"]),
+        (DaemonState.READY, {machine.NO_HEARTBEAT_REASON}, ["faulted"]),
+        (DaemonState.READY, {machine.UNREACHABLE}, ["faulted"]),
         (DaemonState.ARMED, set(), []),
         (DaemonState.ARMED, {COMMANDED_REASON}, ["ready"]),
         (DaemonState.ARMED, {TOO_FAST_REASON, COMMANDED_REASON}, ["faulted"]),
-        (DaemonState.FAULTED, {NO_HEARTBEAT_REASON}, []),
+        (DaemonState.FAULTED, {machine.NO_HEARTBEAT_REASON}, []),
         (DaemonState.FAULTED, set(), ["ready", "armed"]),
         (DaemonState.FAULTED, {COMMANDED_REASON}, ["ready"]),
         (DaemonState.STOPPING, set(), []),
@@ -199,7 +188,7 @@ def test_the_state_follows_the_reasons_for_no_force(begun, reasons, after):
 def test_an_error_that_ends_the_run_is_cleared_by_nothing():
     states, changes = make_states(DaemonState.ARMED)
     states.fail("the device is gone")
-    for reasons in (set(), {COMMANDED_REASON}, {NO_HEARTBEAT_REASON}):
+    for reasons in (set(), {COMMANDED_REASON}, {machine.NO_HEARTBEAT_REASON}):
         states.follow(reasons)
     assert changes == [(DaemonState.ARMED, DaemonState.FAULTED, "the device is gone")]
     assert states.fire(Trigger.END, "done") and states.now is DaemonState.STOPPING
@@ -235,7 +224,7 @@ def batch(*ticks: tuple[int, list[tuple[float, float]]]) -> np.ndarray:
 
 
 def process_batches(daemon: DaemonStub, *batches: np.ndarray) -> list[Any]:
-    arming = Arming(cast(Any, daemon), States())
+    arming = Arming(daemon, machine.States())
     for records in batches:
         arming.take(records, 0)
     return [act for act in daemon.acts if act != "update_state"]

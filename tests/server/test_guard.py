@@ -1,4 +1,4 @@
-"""Guard: output finite and bounded for any input, limits of rig and device; health of the loop: what ends a run."""
+"""Guard: output finite and bounded for any input, limits of rig and device; health of the loop: causes of its end."""
 
 import dataclasses
 import math

@@ -22,9 +22,8 @@ import numpy as np
 import pytest
 from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program
-from helpers.raw_peers import GREETING
 from helpers.waits import eventually
-from test_peers_at_every_socket import dial, greet, wait_until_closed
+from test_peers_at_every_socket import GREETING, dial, greet, wait_until_closed
 
 from softfinger.proxy.record import AT
 from softfinger.server.socket_process.peer_socket import FILES_MAX, MEMORY_MAX
@@ -217,12 +216,12 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names, transport, tm
                     peers.append(subprocess.Popen(program, stdin=subprocess.PIPE))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
-                for peer in peers:  # at once, because running attacks would slow the start of others
+                for peer in peers:  # at once, because running attacks would slow the next start
                     peer.stdin.close()
                 local.take(0.0)
                 check_ticks(local, healthy, SECONDS)
                 assert all(peer.poll() is None for peer in peers), "an attack was over"
-                with contextlib.suppress(FileNotFoundError):  # the process has ended
+                with contextlib.suppress(FileNotFoundError):  # no longer a process
                     assert read_memory(pid, "VmHWM") < 1.5 * MEMORY_MAX
             check_ticks(local, healthy, 0.2)
             with Subscription(bound, ("contact",)) as late:

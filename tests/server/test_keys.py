@@ -145,7 +145,7 @@ def test_changes_of_the_key_folder_take_effect(tmp_path: Path) -> None:
     make_pair(tmp_path, "bob")
     assert not allowed.refresh() and allowed.callback("", read_public(tmp_path / "bob.key"))
     bob = read_public(tmp_path / "bob.key")
-    for bits in (0o775, 0o757):  # writable by its group, and by others
+    for bits in (0o775, 0o757):  # writable by its group, and by all users
         tmp_path.chmod(bits)
         assert allowed.refresh() and not allowed.callback("", bob)
         with pytest.raises(ConfigError, match="other users may write to it"):
@@ -249,7 +249,7 @@ def test_the_telemetry_leads_to_commands_of_the_same_daemon(folder: Path, daemon
 
 @pytest.fixture
 def named_daemon() -> Iterator[Daemon]:
-    """Run a daemon whose rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
+    """Run a daemon; its rig names a TCP address for commands, on a port unrelated to that of the telemetry."""
     with running("replay", "paper-plane") as daemon:
         yield daemon
 

@@ -262,7 +262,7 @@ def test_gaps_are_reported_and_keep_their_time(tmp_path: Path) -> None:
     assert (totals.poses, totals.lost, totals.gap_count, totals.worst) == (396, 4, 2, (49, 3))
     assert "4 ticks in 2 gaps did not arrive, the longest 3 after tick 49" in totals.gaps()
     poses = load_poses(file)
-    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # both in whole milliseconds
+    np.testing.assert_allclose(poses.t, poses.position[:, 0], rtol=0, atol=1e-15)  # both rounded to milliseconds
 
 
 def test_ticks_that_took_longer_take_longer(tmp_path: Path) -> None:

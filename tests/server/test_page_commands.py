@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -215,10 +215,10 @@ def commands(folder: Path) -> Iterator[str]:
     objects = [table | {"material": MATERIAL} for table in (ball, *maps, {"name": "table", "shape": "plane"})]
     scene = load_scene({"fingertip": {"radius_m": 0.01}, "object": objects})
     force = SimpleNamespace(is_reachable=True, note_guard=lambda reason, is_off: None)
-    rendering = cast(Any, SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene, force=force))
+    rendering = SimpleNamespace(rig=load_rig("replay", LOCAL), scene=scene, force=force)
     doors = bind_rig(rendering.rig)
     with Publisher(doors) as publisher:
-        actions = cast(Any, SimpleNamespace(replace=None, publisher=publisher))
+        actions = SimpleNamespace(replace=None, publisher=publisher)
         service = CommandService(str(doors.commands), rendering, actions, "meshes")
         service.start()
         yield str(doors.commands)

@@ -17,15 +17,9 @@ from softfinger.proxy.kernels.jit.pack import packed
 from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.kernels.numerics.tool import make_tool, tip_of
 from softfinger.proxy.record import FREE, NAMED, RECORD_SIZE, ROLLING
+from softfinger.server.loop import passivity
 from softfinger.server.loop.guard import GuardState
-from softfinger.server.loop.passivity import (
-    NO_ENERGY,
-    Energy,
-    HandMotion,
-    Passivity,
-    compute_work_on_hand,
-    keep_passive,
-)
+from softfinger.server.loop.passivity import NO_ENERGY, Energy, HandMotion, Passivity, keep_passive
 from softfinger.server.loop.tick import Tuning, begin
 from softfinger.server.loop.tuning import DAMPING_MAX_NS_PER_M, make_tuning
 from softfinger.server.offline.simulate import run_ticks, simulate
@@ -127,8 +121,8 @@ def test_work_of_a_rotating_tool_is_equal_at_both_ends():
     poses = [Pose((0.1, 0.2, 0.3), (np.cos(0.5 * a), 0.0, np.sin(0.5 * a), 0.0)) for a in (0.2, 0.5)]
     motion = HandMotion(*(tip_of(tool, pose) for pose in poses), tool)
     pulling = hold((3.0, 4.0, 5.0), (0.1, 0.2, 0.3))
-    assert compute_work_on_hand(pulling, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
-    assert compute_work_on_hand(pulling, HandMotion(motion.now, motion.now, tool)) == 0.0
+    assert passivity.compute_work_on_hand(pulling, motion) == pytest.approx(0.2 * 0.3, rel=1e-13)  # rounding of 0.1 m
+    assert passivity.compute_work_on_hand(pulling, HandMotion(motion.now, motion.now, tool)) == 0.0
 
 
 def run_cycle(fingertip, height, n, turns=1.0, **tables):
@@ -222,7 +216,7 @@ INSIDE = (0.002, 0.0045)
 
 
 def tune_pad(mode: str = "observe", **elastic: float) -> Tuning:
-    """Return the frictionless pad, whose top is z = 0, with a guard that limits nothing after 10 ticks."""
+    """Return the frictionless pad (its top is z = 0) with a guard that limits nothing after 10 ticks."""
     scene = describe(load_scene("press-a-pad"))
     pad = scene["object"][0]
     pad["elastic"] |= {"damping_s": 0.0} | elastic

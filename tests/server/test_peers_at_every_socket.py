@@ -19,12 +19,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
+import msgpack
 import pytest
 import viser
 import zmq
 from helpers.processes import COMMAND, find_child, read_memory
 from helpers.programs import Program
-from helpers.raw_peers import GREETING, frame
 from helpers.waits import until
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -46,6 +46,8 @@ GROWN_MAX = 20_000_000
 """Largest growth of a process during an attack, bytes: room for its own work, less than half of LARGE."""
 CUT_S = 30.0
 """Longest wait. The servers' own time-outs are 2 s for a ZMTP handshake and 10 s for a browser's."""
+GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
+"""First bytes of a peer of ZeroMQ."""
 
 
 class Peers(NamedTuple):
@@ -105,6 +107,11 @@ def peers() -> Iterator[Peers]:
             daemon.terminate()
             daemon.communicate(timeout=60.0)
     assert (daemon.returncode, gateway.returncode) == (0, 0)
+
+
+def frame(body: bytes, flags: int = 0) -> bytes:
+    long = len(body) > 255
+    return bytes((flags | 2 * long,)) + (struct.pack(">Q", len(body)) if long else bytes((len(body),))) + body
 
 
 def dial(address: str, wait_s: float = CUT_S) -> socket.socket:
@@ -174,7 +181,7 @@ def send_malformed(name: str, address: str) -> None:
 
 
 def send_slowly(name: str, address: str) -> None:
-    """Send a byte every 0.1 s: each byte is in time, but the whole request is not."""
+    """Send a byte every 0.1 s: each byte is in time, but the complete request is not."""
     request = GREETING if name in ZMTP else b"GET / HTTP/1.1\r\n" + b"X: y\r\n" * 1000
     with dial(address) as peer, contextlib.suppress(ConnectionError):
         peer.settimeout(0.1)
@@ -189,9 +196,21 @@ def send_slowly(name: str, address: str) -> None:
                     return
 
 
+def send_without_reading(name: str, address: str) -> None:
+    """Send requests and read no answer, until the server reads no more or closes the connection."""
+    request = frame(b"", 1) + frame(msgpack.packb({"command_id": "r", "method": "describe"}))
+    with greet(address, ZMTP[name]) as peer, contextlib.suppress(ConnectionError, TimeoutError):
+        peer.settimeout(0.5)
+        for _ in range(400):
+            peer.sendall(50 * request)
+
+
 ATTACKS: dict[str, Callable[[str, str], None]] = {
     "too large": send_too_large, "one byte too large": send_one_byte_too_large, "malformed": send_malformed,
+    "unread answers": send_without_reading,
 }  # fmt: skip
+ONLY = {"one byte too large": (*ZMTP,), "unread answers": ("commands", "forwarded commands")}
+"""Sockets of an attack that is not for all."""
 
 
 def read_peak_memory(pid: int) -> int:
@@ -226,7 +245,7 @@ def unharmed(peers: Peers, name: str) -> Iterator[None]:
 
 @pytest.mark.parametrize(
     ("name", "attack"),
-    [(name, attack) for name in OWNERS for attack in ATTACKS if name in ZMTP or attack != "one byte too large"],
+    [(name, attack) for name in OWNERS for attack in ATTACKS if name in ONLY.get(attack, OWNERS)],
 )
 def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
     with unharmed(peers, name):

@@ -52,7 +52,7 @@ def wait_for_stop(daemon: Daemon) -> None:
 def assert_without_force(daemon: Daemon) -> None:
     """Assert that no force is displayed after the start."""
     assert eventually(lambda: daemon.servo.ticks > 300)  # the ramp takes 10
-    assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
+    assert not daemon.devices[0].wrenches.any()
 
 
 @contextmanager
@@ -70,7 +70,7 @@ def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tupl
         yield daemon, answers
         daemon.stop()
         assert daemon.wait(WAIT_S)
-        assert not daemon.devices[0].wrenches.any()  # type: ignore[attr-defined]
+        assert not daemon.devices[0].wrenches.any()
 
 
 def test_requests_before_the_start_are_answered(tmp_path: Path) -> None:
@@ -109,7 +109,7 @@ def test_a_kill_of_the_commands_process_loses_no_disarm(tmp_path: Path) -> None:
         assert_without_force(daemon)
         with Control(daemon.commands_endpoint, WAIT_S) as control:
             control.arm()
-            assert eventually(lambda: daemon.devices[0].wrenches[-1].any())  # type: ignore[attr-defined]
+            assert eventually(lambda: daemon.devices[0].wrenches[-1].any())
 
 
 def test_a_flood_does_not_delay_a_disarm(tmp_path: Path) -> None:

@@ -1,7 +1,6 @@
 """Servo loop: calls, forbidden operations, faults of devices and ends."""
 
 import resource
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -74,23 +73,6 @@ def test_exception_in_the_servo_thread_zeroes_the_device():
     assert ended.ending == s.CRASHED and str(ended.error) == "refused"
     assert len(device.wrenches) == 1 and not device.wrenches[-1].any()
     assert [act for act, *_ in device.acts] == ["stop"]  # never armed
-
-
-def test_arming_is_the_last_act_before_the_first_tick():
-    at = []
-
-    def prepare():
-        at.append(("prepare", threading.get_native_id(), len(device.acts)))
-        return lambda: None
-
-    device, servo = make_servo(Options(), 50, prepare)
-    before = len(s.run_servo_loop.signatures)
-    finish(servo)
-    ((_, thread, acts),) = at
-    assert acts == 0
-    armed, stopped = device.acts
-    assert armed == ("arm", thread, 0) and stopped[::2] == ("stop", 50)
-    assert len(s.run_servo_loop.signatures) == before
 
 
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():

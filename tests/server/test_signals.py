@@ -37,7 +37,7 @@ END_S = 20.0
 def pressing(
     tmp_path: Path, *words: str, environment: dict[str, str] | None = None
 ) -> Iterator[tuple[Board, subprocess.Popen[str]]]:
-    """Run a daemon, with more `environment`, on a board whose hand presses into the plane."""
+    """Run a daemon, with more `environment`, on a board with a hand that presses into the plane."""
     board = Board(lambda _: (*PLACE[:2], 0.006))
     with Cable(board) as cable:
         rig = write_rig(tmp_path, RIG, path=cable.path, quiet_s=0.1, timeout_s=2.0)

@@ -192,7 +192,7 @@ def test_failing_bodies_are_released_and_reset(scene: schema.Scene, tmp_path: Pa
             while events.receive(0.1) is None:  # until the subscription is active
                 control.mark("begin")
             for failure in ("huge value", "solver", "huge value"):
-                owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
+                owner = running.servo.tuning.scene.bodies.block.owner
                 wait_for(running, running.servo.ticks + 1500)  # the key is pressed in each
                 if failure == "huge value":
                     owner.data.qvel[0] = math.inf
@@ -227,7 +227,7 @@ def test_bodies_that_exceed_the_tick_are_released(scene: schema.Scene) -> None:
     with Daemon(make_rig(), hasty) as running:
         running.start()
         wait_for(running, 500)
-        owner = running.servo.tuning.scene.bodies.block.owner  # type: ignore[union-attr]
+        owner = running.servo.tuning.scene.bodies.block.owner
         assert "budget_us = 1;" in str(owner.failure)
         wait_for(running, running.servo.ticks + 50)
 

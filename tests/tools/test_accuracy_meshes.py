@@ -3,18 +3,8 @@
 import numpy as np
 import pytest
 
-from softfinger.tools.accuracy.meshes import (
-    CASES,
-    DEPTH_M,
-    HEADINGS_RAD,
-    RADIUS_M,
-    TICKS,
-    TURN_RAD,
-    converge,
-    find_start,
-    fit_orders,
-    make_lead_path,
-)
+from softfinger.tools.accuracy import meshes
+from softfinger.tools.accuracy.meshes import CASES
 from softfinger.tools.accuracy.pixels import HILLS, KINDS, compare, make_grid, make_paths
 
 pytestmark = pytest.mark.plain
@@ -27,16 +17,16 @@ SHARPEST_M = {"ball": 0.05, "cylinder": 0.03, "torus": 0.02}
 @pytest.mark.parametrize("name", CASES)
 def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
     """Halving the edges divides errors of the force, of the point's distance and of the rolled angle by four, since the
-    height of a facet is quadratic in its size; those of the direction and of the winding over a facet by two."""
-    rows = list(converge(name, FINENESS))
-    result = fit_orders(rows)
+    height of a facet is quadratic in its size; errors of the direction and of the winding over a facet by two."""
+    rows = list(meshes.converge(name, FINENESS))
+    result = meshes.fit_orders(rows)
     assert result["force_n"] > 1.8 and result["point_m"] > 1.8
     # Where edges are crossed differs from mesh to mesh, so this slope scatters: 1.7 to 2.1. A loss at every edge has 1.
     assert result["rolled_m"] > 1.5 and 0.8 < result["direction_rad"] < 1.5 and result["wound_m"] > 0.7
     for row in rows:
         assert row["shaded_rad"] < 0.5 * row["direction_rad"]
         # A facet is tilted by at most its circumradius over R. Lost at every edge, it would be 0.3 to 0.5 mm.
-        assert row["wound_m"] < DEPTH_M * row["edge_m"] / np.sqrt(3.0) / SHARPEST_M[name]
+        assert row["wound_m"] < meshes.DEPTH_M * row["edge_m"] / np.sqrt(3.0) / SHARPEST_M[name]
         assert row["shaded_step_rad"] < 0.5 * row["step_rad"]
         # A facet of that edge is at most so far off the surface, which the force feels at 1000 N/m.
         bulge = row["edge_m"] ** 2 / (4.0 * SHARPEST_M[name])
@@ -47,7 +37,9 @@ def test_a_surface_of_triangles_becomes_the_surface(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_rolling_over_edges_does_not_depend_on_the_tick(name: str) -> None:
     """It comes from the mesh: an error of first order in the tick would be halved."""
-    long, short = (next(converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (TICKS // 2, TICKS))
+    long, short = (
+        next(meshes.converge(name, FINENESS[1:2], ticks))["rolled_m"] for ticks in (meshes.TICKS // 2, meshes.TICKS)
+    )
     assert short == pytest.approx(long, rel=0.05)
 
 
@@ -60,14 +52,14 @@ def test_paths_go_askew_over_edges(name: str) -> None:
     a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
     normals = np.cross(b - a, c - a)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    for heading in HEADINGS_RAD:
-        path = make_lead_path(CASES[name].shape, *find_start(CASES[name]), heading, TICKS)
+    for heading in meshes.HEADINGS_RAD:
+        path = meshes.make_lead_path(CASES[name].shape, *meshes.find_start(CASES[name]), heading, meshes.TICKS)
         near = [int(np.linalg.norm((a + b + c) / 3.0 - point, axis=1).argmin()) for point in path.points[::20]]
         assert len(np.unique(normals[near].round(9), axis=0)) >= 4
-        centers = path.points + RADIUS_M * path.normals
+        centers = path.points + meshes.RADIUS_M * path.normals
         travel = np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()
         # Summed at the ends of ticks: off by half a tick's angle, at most.
-        assert path.rolled[-1] == pytest.approx(travel / RADIUS_M, abs=0.5 * TURN_RAD / TICKS)
+        assert path.rolled[-1] == pytest.approx(travel / meshes.RADIUS_M, abs=0.5 * meshes.TURN_RAD / meshes.TICKS)
 
 
 def test_triangles_are_wound_outward_and_join() -> None:
@@ -92,7 +84,7 @@ def test_the_paths_lie_on_the_hills() -> None:
         up = np.stack([-slopes[0], -slopes[1], np.ones_like(x)], axis=1)
         # Differences of the second order: k^3 A step^2 / 6 is 8e-8.
         np.testing.assert_allclose(path.normals, up / np.linalg.norm(up, axis=1)[:, None], rtol=0, atol=1e-7)
-        assert np.linalg.norm(path.points[-1] - path.points[0]) > RADIUS_M
+        assert np.linalg.norm(path.points[-1] - path.points[0]) > meshes.RADIUS_M
 
 
 def test_rows_of_the_array_have_the_heights_of_their_places() -> None:

@@ -1,4 +1,4 @@
-"""`bench`: what each measurement reports on small cases; times are not asserted."""
+"""`bench`: results of each measurement on small cases; times are not asserted."""
 
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Command lines of tools that cannot be run: one error each, exit code 2, and no file."""
 
-from pathlib import Path
-
 import pytest
 
 from softfinger.server.cli import main
@@ -34,9 +32,7 @@ from softfinger.server.cli import main
         ("bench simulate --ticks 10", ["1000 or more"]),
     ],
 )
-def test_invalid_arguments_give_one_clear_error(
-    words: str, pieces: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_invalid_arguments_give_one_clear_error(words, pieces, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(words.split()) == 2
     output, errors = capsys.readouterr()

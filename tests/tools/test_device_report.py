@@ -1,234 +1,219 @@
-"""`doctor --device-report`: contents of a report, omitted data, and its endings."""
+"""Device reports contain no personal data, and answer the questions of the form; analysis of their rows: motions,
+rotations, noise, pushes."""
 
-import json
-import os
+import math
 import platform
-import pty
-import re
-import signal
-import socket
-import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pytest
-from helpers.drd_stub import stub_library  # noqa: F401  a fixture
-from helpers.programs import run_program
-from helpers.rig_files import write_rig
-from test_hid_emulated import WHY_NOT, run_beside_device
+from helpers.forgotten import forget_user
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
-from softfinger.config.errors import ConfigError, DeviceNotFound
 from softfinger.config.load import load_rig
-from softfinger.drivers.spacemouse import device as spacemouse
-from softfinger.proxy.kernels.jit.decorators import CACHE_DIR
-from softfinger.server.cli import main
-from softfinger.tools.doctor import report
-from softfinger.tools.doctor.questions import load_questions
+from softfinger.drivers import registry
+from softfinger.drivers.base import SAMPLE_BUTTONS
+from softfinger.tools.doctor import motions, privacy, report
+from softfinger.tools.doctor.questions import ANSWERS, answer_questions, load_questions
+from softfinger.tools.exchange import FORCE, ROW_SIZE, SAMPLE
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.plain
 
-ROOT = Path(__file__).resolve().parents[2]
-COMMAND = (sys.executable, "-m", "softfinger.server.cli", "doctor")
 USER: Final = "zaphodb"
-KEYS: Final = {
-    "report", "complete", "ended", "softfinger", "system", "driver", "options", "rate_hz", "guided", "freedom",
-    "identity", "maker_library", "device", "realtime", "rest", "exchange", "without_pauses", "range", "moves",
-    "buttons", "pushes", "counts", "reason", "fault", "questions",
-}  # fmt: skip
+
+
+@pytest.fixture
+def somebody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> privacy.Redactor:
+    monkeypatch.setenv("HOME", f"/home/{USER}")
+    monkeypatch.setenv("USER", USER)
+    (tmp_path / "My Project").mkdir()
+    monkeypatch.chdir(tmp_path / "My Project")
+    return privacy.Redactor(["SN-4711-A"])
+
+
+@pytest.mark.parametrize(
+    ("text", "clean"),
+    [
+        (f"/home/{USER}/lib/x.so", "x.so"),
+        (f"/home/{USER}", "~"),
+        (f"/media/{USER}/disk", "..."),
+        (f"/home/{USER}/Project-X/scene.toml: no such file", "scene.toml: no such file"),
+        ("~/Project-X/scene.toml, ~/Project-X", "scene.toml, ..."),
+        ("Project-X/part/scene.toml:12", "scene.toml:12"),
+        ("../Project-X/scene.toml", "scene.toml"),
+        ("no file '/srv/Project X/scene.toml'", "no file 'scene.toml'"),
+        ("PATH=/srv/Project-X/bin:/usr/bin", "PATH=...:/usr/bin"),
+        ("ipc:///srv/Project-X/commands", "ipc://..."),
+        ("/run/media/me/Project-X/a.csv", "a.csv"),
+        (f"sudo setcap x {sys.prefix}/bin/python", "sudo setcap x <environment>/bin/python"),
+        (f"{Path(privacy.__file__).parent}/privacy.py", "softfinger/tools/doctor/privacy.py"),
+        ("tcp://127.0.0.1:5555, https://example.org/a/b.zip", "tcp://127.0.0.1:5555, https://example.org/a/b.zip"),
+        ("docs/operate/docker.md, 3 N/m, 1/s.", "docs/operate/docker.md, 3 N/m, 1/s."),
+        ("/sys/class/x.y, /dev/hidraw0", "/sys/class/x.y, /dev/hidraw0"),
+        (f"held by {USER}", "held by <user>"),
+        (f"{USER}x is another word", f"{USER}x is another word"),
+        ("omega.3, serial 1234", "omega.3, serial ...34"),
+        ("no HID device has the serial number 'SN42'", "no HID device has the serial number '...42'"),
+        ("attached is SN-4711-A here", "attached is ...-A here"),
+        ("/dev/serial/by-id/usb-PJRC_Teensy_123456-if00", "/dev/serial/by-id/..."),
+        ("a serial line at 115200", "a serial line at 115200"),
+        ("serial 16c0:0483 at /dev/pts/0", "serial 16c0:0483 at /dev/pts/0"),
+    ],
+)
+def test_identifying_words_are_removed(text: str, clean: str, somebody: privacy.Redactor) -> None:
+    assert somebody.text(text) == clean
+
+
+def test_all_of_a_report_is_cleaned_but_the_words_of_the_program(somebody: privacy.Redactor) -> None:
+    dirty = {"driver": USER, "a": [USER, {"b": f"on {platform.node()}"}], USER: 1.5, "none": None}
+    assert somebody.clean(dirty) == {"driver": USER, "a": ["<user>", {"b": "on <host>"}], USER: 1.5, "none": None}
+
+
+def test_options_contain_no_folder() -> None:
+    options = {"firmware": "/srv/lab/x.bin", "serial": 123456, "path": "/dev/hidraw0", "hand": {"recording": "a/b.csv"}}
+    want = {"firmware": "x.bin", "serial": "...56", "path": "/dev/hidraw0", "hand": {"recording": "b.csv"}}
+    assert privacy.redact_options(options) == want
+
+
+def test_a_working_folder_with_a_space_is_removed(somebody: privacy.Redactor) -> None:
+    assert somebody.text(f"{Path.cwd()}/part/x.toml: fault; {Path.cwd()} is full") == "x.toml: fault; . is full"
+
+
+def test_scenes_and_rigs_contain_no_folder(somebody: privacy.Redactor) -> None:
+    dirty = {"object": [{"file": "My Project/a.obj"}], "world": {"model": "Project-X/m"}, "directory": "Project-X"}
+    want = {"object": [{"file": "a.obj"}], "world": {"model": "m"}, "directory": "..."}
+    assert somebody.clean(dirty) == want and somebody.clean({"directory": "."}) == {"directory": "."}
+
+
+def test_a_user_without_a_home_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    forget_user(monkeypatch)
+    assert privacy.Redactor().text("~ and /srv/x/y.toml") == "~ and y.toml"
+
+
+def test_the_questions_are_well_formed() -> None:
+    ids = [question.id for question in load_questions()]
+    assert len(set(ids)) == len(ids)
+    drivers = {driver for question in load_questions() for driver in question.drivers}
+    assert drivers <= set(registry.list_names()) and not drivers & {"replay", "simulated"}
+    assert ANSWERS.keys() <= set(ids)
+
+
+def test_measurements_answer_their_questions() -> None:
+    empty, _ = report.start_report(load_rig("falcon"), guided=False)
+    assert not any(row["measured"] for row in answer_questions(empty))
+    full = empty | {
+        "moves": [{"asked": "move it up", "kind": "translation", "seen": "+z"}],
+        "pushes": [{"axis": "+x", "seen": "-x"}],
+        "buttons": {"masks": [0, 4]},
+    }
+    answers = {row["id"]: row["answer"] for row in answer_questions(full) if row["measured"]}
+    assert answers == {
+        "frame": "move it up: +z", "force-sign": "force along +x: -x", "buttons": "masks 0, 4 were seen"
+    }  # fmt: skip
+
+
 RATE_HZ: Final = 1000.0
 
-Here = Callable[..., str]
+
+def poses(position: np.ndarray, orientation: np.ndarray | None = None) -> np.ndarray:
+    """Rows with these positions (n, 3) m and orientations (n, 4)."""
+    rows = np.zeros((len(position), ROW_SIZE))
+    rows[:, SAMPLE : SAMPLE + 3] = position
+    rows[:, SAMPLE + 3 : SAMPLE + 7] = (1.0, 0.0, 0.0, 0.0) if orientation is None else orientation
+    return rows
 
 
-@pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Home and working folder of a user."""
-    folder = tmp_path / USER
-    folder.mkdir()
-    variables = {"HOME": folder, "USER": USER, "LOGNAME": USER, "SOFTFINGER_CACHE_DIR": CACHE_DIR.parent}
-    for name, value in variables.items():
-        monkeypatch.setenv(name, str(value))
-    monkeypatch.chdir(folder)
-    return folder
+@pytest.mark.parametrize(
+    ("direction", "motion"),
+    [
+        ((0.03, 0.005, 0.0), "+x"),
+        ((0.0, -0.04, 0.01), "-y"),
+        ((0.001, 0.0, 0.02), "+z"),
+        ((0.003, 0.0, -0.004), "no motion"),
+        ((0.02, 0.02, 0.0), "not along one axis"),
+    ],
+)
+def test_a_motion_has_an_axis_and_a_sense(direction: tuple[float, float, float], motion: str) -> None:
+    share = np.clip(np.linspace(-0.5, 1.5, 1000), 0.0, 1.0)[:, None]
+    path = share * np.array(direction) + np.sin(np.pi * share) * np.array([0.0, 0.0, 0.05])
+    result = motions.move("ask", "translation", "+x", poses(path))
+    assert result["seen"] == motion and result["agrees"] == (motion == "+x")
+    np.testing.assert_allclose(result["vector"], direction, atol=1e-12)  # rounding of a median
 
 
-def run(*words: str) -> subprocess.CompletedProcess[str]:
-    return run_program([*COMMAND, "--device-report", *words], stdin=subprocess.DEVNULL)
+def test_a_turn_is_the_rotation_between_first_and_last() -> None:
+    """In the world frame as scipy's, for any initial orientation and any sign of a quaternion."""
+    start = Rotation.from_rotvec([0.3, -0.2, 0.5])
+    turn = np.array([0.05, -0.02, 0.6])
+    ways = [Rotation.from_rotvec(share * turn) * start for share in np.linspace(0.0, 1.0, 50)]
+    orientation = np.array([np.roll(rotation.as_quat(), 1) for rotation in ways])  # scipy has w last
+    orientation[25:] *= -1.0
+    result = motions.move("ask", "rotation", "+z", poses(np.zeros((50, 3)), orientation))
+    np.testing.assert_allclose(result["vector"], turn, atol=1e-12)  # rounding of products
+    assert result["seen"] == "+z" and result["unit"] == "rad"
 
 
-@pytest.fixture
-def here(home: Path, capsys: pytest.CaptureFixture[str]) -> Here:
-    def report_of(*words: str) -> str:
-        assert main(["doctor", "--device-report", *words]) == 0
-        return capsys.readouterr().out
-
-    return report_of
-
-
-def checked(file: Path, home: Path) -> dict[str, Any]:
-    text = file.read_text(encoding="utf-8")
-    content: dict[str, Any] = json.loads(text)
-    assert content.keys() == KEYS
-    assert str(home) not in text and USER not in text
-    assert not re.search(rf"(?<![A-Za-z0-9]){re.escape(platform.node())}(?![A-Za-z0-9])", text)
-    assert not re.search(r"/home/|/root\b", text)
-    assert {row["id"] for row in content["questions"]} == {
-        question.id for question in load_questions() if content["driver"] in question.drivers
-    }
-    return content
+def test_noise_at_rest_and_range_of_known_rows() -> None:
+    random = np.random.default_rng(1)
+    rows = poses(random.normal(size=(100_000, 3)) * (1e-6, 2e-6, 3e-6) + np.array([0.0, 0.01, 0.0]))
+    rows[7, SAMPLE] = math.nan
+    result = motions.measure_rest(rows, turns=False)
+    assert result["not_finite"] == 1
+    # of 1e5 samples a deviation is known to 1/sqrt(2e5), 0.2 %: five times that
+    np.testing.assert_allclose(result["position_std_m"], (1e-6, 2e-6, 3e-6), rtol=0.011)
+    assert result["rotation_std_rad"] is None
+    span = motions.reach(rows)
+    assert span is not None and span["position_min_m"][1] < 0.01 < span["position_max_m"][1]
+    assert motions.measure_rest(rows[7:8], turns=False) is None
+    rows[:3, SAMPLE + SAMPLE_BUTTONS] = (4.0, 1.0, 4.0)
+    assert motions.list_masks(rows) == [0, 1, 4]
 
 
-def test_a_recording_is_reported(here: Here, home: Path) -> None:
-    (home / "mine.csv").write_bytes((ROOT / "config" / "recordings" / "tap.csv").read_bytes())
-    rig = home / "mine.toml"
-    rig.write_text(f'[device]\ndriver = "replay"\nrecording = "{home}/mine.csv"\n')
-    output = here("--rig", str(rig), "--seconds", "0.3")
-    content = checked(home / "softfinger-replay-report.json", home)
-    assert content["complete"] and content["ended"] == "in full" and content["fault"] is None
-    assert content["options"]["recording"] == "mine.csv" and content["device"]["name"] == "replay mine"
-    assert content["rest"]["ticks"] == 1000 and content["exchange"]["ticks"] == 300
-    assert content["without_pauses"]["exchanges"] > 0
-    assert content["counts"]["reads"] >= 1300 + content["without_pauses"]["exchanges"]
-    assert content["moves"] == content["pushes"] == content["questions"] == content["identity"] == []
-    assert {"system", "python", "packages", "checks"} == content["system"].keys()
-    assert "attach it to an issue" in output and "noise along x, y, z" in output
+def pushed_rows(sign: float, mass: float, damping: float, stiffness: float) -> np.ndarray:
+    seconds, hertz = 3.0, 1.0
+    t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+
+    def force(at: Any) -> Any:
+        return np.sin(math.pi * at / seconds) ** 2 * np.sin(2.0 * math.pi * hertz * at)
+
+    def slope(at: float, state: np.ndarray) -> list[float]:
+        return [state[1], (sign * force(at) - damping * state[1] - stiffness * state[0]) / mass]
+
+    travel = solve_ivp(slope, (0.0, seconds), [0.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
+    rows = poses(np.stack([np.zeros_like(travel), travel, np.zeros_like(travel)], axis=1))
+    rows[:, FORCE + 2] = force(t)
+    return rows
 
 
-def test_a_push_of_the_simulated_device_is_measured_along_its_axis(here: Here, home: Path) -> None:
-    rig = home / "still.toml"
-    rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\n')
-    words = ("--seconds", "1", "--with-force", "2", "--json", "--plot", "times.png")
-    output = here("report.json", "--rig", str(rig), *words)
-    content = checked(home / "report.json", home)
-    assert json.loads(output) == content
-    assert (home / "times.png").read_bytes().startswith(b"\x89PNG")
-    assert [push["seen"] for push in content["pushes"]] == ["+x", "+y", "+z"]
-    assert all(1.5 < push["largest_n"] <= 2.0 for push in content["pushes"])
-    # 2 N displace a hand of 1000 N/m by 2 mm; at 3 Hz its mass overshoots slightly.
-    ends = content["range"]["position_min_m"], content["range"]["position_max_m"]
-    for low, high, at in zip(*ends, (0.0, 0.0, 0.03), strict=True):
-        assert -0.003 < low - at < 0.0 < high - at < 0.003
+@pytest.mark.parametrize(
+    ("holding", "plus", "minus"),
+    [
+        ((0.2, 5.0, 500.0), "+y", "free handle, or the wrong sign"),  # a hand that springs back
+        ((0.2, 40.0, 100.0), "+y", "-y"),  # a soft hand
+        ((0.3, 10.0, 1e-6), "+y", "-y"),  # a handle that is braked only
+        ((2.0, 0.1, 1e-6), "free handle, or the wrong sign", "+y"),  # a free mass: an answer needs a hand
+    ],
+)  # fmt: skip
+def test_a_push_shows_axis_and_sign(holding: tuple[float, float, float], plus: str, minus: str) -> None:
+    for sign, motion in ((1.0, plus), (-1.0, minus)):
+        result = motions.push(2, 1.0, RATE_HZ, pushed_rows(sign, *holding))
+        assert result["axis"] == "+z" and result["moved_axis"] == "y"
+        assert motion in result["seen"], result
+        assert result["share"] > 0.8  # a free mass also drifts off, which is not a part of the fit
 
 
-def test_a_device_behind_the_makers_library_is_reported(home: Path, stub_library: Path) -> None:  # noqa: F811
-    rig = write_rig(home, "omega-3", library_file=str(stub_library))
-    result = run("--rig", str(rig), "--seconds", "0.3")
-    assert result.returncode == 0, result.stderr
-    content = checked(home / "softfinger-forcedimension-report.json", home)
-    assert content["device"]["name"] == "omega.3, serial ...30"
-    assert content["maker_library"] == [stub_library.name] and "/" not in content["options"]["library_file"]
-    by_id = {row["id"]: row for row in content["questions"]}
-    measured = {name for name, row in by_id.items() if row["measured"]}
-    assert measured == {"exchange-time", "fd-library", "fd-force-on", "fd-held-back"}
-    assert by_id["fd-held-back"]["answer"].startswith("0 of ")
-    assert by_id["frame"]["answer"].startswith("not answered: run the report in a terminal")
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.skipif(WHY_NOT is not None, reason=str(WHY_NOT))
-@pytest.mark.parametrize("lost", [False, True], ids=["whole", "unplugged"])
-def test_a_hid_device_is_reported(lost: bool, home: Path) -> None:
-    file = home / "report.json"
-    case = {"arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.01]} | ({"lost_after": 300} if lost else {})
-    rig = write_rig(home, "woodenhaptics-2019")
-    # the emulated device is a normal process and must not be delayed by the exchange's thread
-    rig.write_text(rig.read_text().replace('realtime = "auto"', 'realtime = "off"'), encoding="utf-8")
-    words = ("--device-report", str(file), "--rig", str(rig), "--seconds", "0.3")
-    _, saw = run_beside_device(case, *COMMAND, *words, code=4 if lost else 0)
-    content = checked(file, home)
-    (arm,) = content["identity"]
-    known = {"vendor_id": "16c0", "product_id": "0486", "node": "/dev/hidraw0", "serial": "...42"}
-    assert arm | known == arm and arm["report_descriptor"].startswith("06abff")
-    assert content["counts"]["written"] >= 300
-    assert not any(saw["last"]), "the last report was no zero"
-    answers = {row["id"]: row for row in content["questions"]}
-    assert answers["hid-descriptor"]["answer"] == arm["report_descriptor"]
-    assert answers["unplugged"]["measured"] is lost and content["complete"] is not lost
-    if lost:
-        assert content["fault"]["kind"] == "DeviceLost" and content["fault"]["in_use"]
-        assert "is gone" in content["fault"]["message"]
-
-
-def test_a_puck_is_not_pushed() -> None:
-    rig = load_rig("spacemouse")
-    near, far = socket.socketpair()
-    puck = spacemouse.SpaceMouse(spacemouse.Options(led=False), near.detach(), RATE_HZ)
-    with far, puck, pytest.raises(ConfigError, match="spacemouse puck displays no force"):
-        report.limit_guard(rig, puck, 1.0)
-
-
-@pytest.mark.usefixtures("home")
-def test_nothing_is_compiled_before_the_device_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("softfinger.tools.exchange.exchange_loop", None)
-    for words in (["doctor", "--device-report"], ["devices", "--probe"], ["bench", "device"]):
-        assert main([*words, "--rig", "omega-3"]) == DeviceNotFound.exit_code
-
-
-def test_a_device_that_cannot_be_opened_is_reported(home: Path) -> None:
-    result = run("--rig", "omega-3", "--seconds", "0.3")
-    assert result.returncode == 4 and "not answered" not in result.stdout
-    content = checked(home / "softfinger-forcedimension-report.json", home)
-    assert content["ended"] == "by a fault" and not content["complete"]
-    assert content["fault"] == {"kind": "DeviceNotFound", "message": content["fault"]["message"], "in_use": False}
-    assert "searched for libdrd.so*, /usr/local/lib/libdrd.so*" in content["fault"]["message"]
-    assert content["device"] is None and content["exchange"] is None
-    assert not any(row["measured"] for row in content["questions"])
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize(("number", "part"), [(signal.SIGINT, "the exchange"), (signal.SIGTERM, "a push along x")])
-def test_an_interrupted_report_is_written(number: signal.Signals, part: str, home: Path) -> None:
-    rig = home / "kept.toml"
-    rig.write_text('[device]\ndriver = "replay"\nrecording = "tap"\nforces = "forces.npz"\n')
-    process = subprocess.Popen(
-        [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "2", "--with-force", "1"],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    for line in process.stderr:
-        if line.startswith(f"recording {part}"):  # printed half a second after the part started
-            break
-    process.send_signal(number)
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    content = checked(home / "softfinger-replay-report.json", home)
-    assert content["ended"] == "stopped by the user" and not content["complete"]
-    assert content["rest"]["ticks"] == 1000 and (content["exchange"] is not None) == (number == signal.SIGTERM)
-    assert content["pushes"] == []
-    assert "stopped by the user" in output
-    force = np.load(home / "forces.npz")["force"]
-    assert force.any() == (number == signal.SIGTERM) and not force[-1].any()
-
-
-def test_the_user_is_prompted_on_a_terminal(home: Path) -> None:
-    rig = home / "still.toml"
-    rig.write_text('[device]\ndriver = "simulated"\nposition_m = [0.0, 0.0, 0.03]\nsway_m = [0.02, 0.0, 0.0]\n')
-    main, side = pty.openpty()
-    process = subprocess.Popen(
-        [*COMMAND, "--device-report", "--rig", str(rig), "--seconds", "0.2"],
-        stdin=side, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    os.close(side)
-    prompts = []
-    for line in process.stderr:
-        if line.endswith("; Enter to begin\n"):
-            prompts.append(line)
-            os.write(main, b"\n")
-    output, _ = process.communicate(timeout=60)
-    os.close(main)
-    assert process.returncode == 0, output
-    content = checked(home / "softfinger-simulated-report.json", home)
-    assert content["guided"]
-    assert len(prompts) == 6  # rest, three directions, a rotation, buttons
-    assert [move["expected"] for move in content["moves"]] == ["+x", "+y", "+z", "+z"]
-    assert all(move["agrees"] == (move["seen"] == move["expected"]) for move in content["moves"])
-    assert content["moves"][3]["kind"] == "rotation" and content["moves"][3]["seen"] == "no motion"
-    assert content["buttons"] == {"masks": [0]}
-
-
-@pytest.mark.parametrize("option", ["--device-report", "--probe"])
-def test_a_report_that_cannot_be_written_names_its_option(option: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=f"{option} .*cannot be written"):
-        report.write(tmp_path / "missing" / "report.json", {}, option)
+def test_a_motion_of_the_hand_is_not_counted_as_a_push() -> None:
+    rows = pushed_rows(1.0, 0.2, 5.0, 500.0)
+    rows[:, SAMPLE] = 0.02 * np.sin(2.0 * math.pi * 2.7 * np.arange(len(rows)) / RATE_HZ)
+    result = motions.push(2, 1.0, RATE_HZ, rows)
+    assert result["seen"].startswith(("not clear", "+y"))
+    rows[:, SAMPLE + 1] = 0.0
+    result = motions.push(2, 1.0, RATE_HZ, rows)
+    assert result["seen"].startswith("not clear")
+    rows[:, SAMPLE] = 0.0
+    assert motions.push(2, 1.0, RATE_HZ, rows)["seen"] == "no motion"
+    rows[:, FORCE + 2] = 0.0
+    assert motions.push(2, 1.0, RATE_HZ, rows) is None

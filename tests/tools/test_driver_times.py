@@ -26,9 +26,7 @@ def test_cost_of_known_times() -> None:
 @pytest.mark.parametrize(
     ("measurement", "driver", "shares"), [("cost", "hid", ["whole"]), ("age", "haply", ["new", "arrived"])]
 )
-def test_a_measurement_is_complete(
-    measurement: str, driver: str, shares: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_measurement_is_complete(measurement, driver, shares, capsys):
     assert driver_times.main([measurement, "--driver", driver, "--ticks", "100", "--json"]) == 0
     figures = json.loads(capsys.readouterr().out)["seconds"][driver]
     assert all(figures[share] > 0.0 for share in shares)

@@ -67,7 +67,7 @@ def test_a_body_too_light_for_the_tick_is_reported(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_the_motion_after_a_knock_is_classified(changes: dict[str, float], touching: bool, verdict: str) -> None:
-    result = bodies.judge(CELL._replace(**changes), touching)  # type: ignore[arg-type]
+    result = bodies.judge(CELL._replace(**changes), touching)
     assert result.verdict == verdict and bool(result.reason) == (verdict != "rests")
 
 

@@ -13,7 +13,7 @@ from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.described_boards import settled
 from helpers.far_ends import FAR_RIGS, when_forced
 from helpers.hd_stub import HdStub, hd, hd_library
-from test_device_report import checked, home
+from test_doctor import checked, home
 
 from softfinger.config.errors import DeviceNotFound
 from softfinger.drivers.system import discovery
@@ -125,9 +125,7 @@ CASES = [
 
 @pytest.mark.sampled(5)
 @pytest.mark.parametrize(("course", "name"), CASES)
-def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(
-    course: str, name: str, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_far_end_has_no_more_than_a_push_and_zero_at_last(course, name, home, monkeypatch, capsys):
     monkeypatch.setattr(probe, "PART_S", 0.1)
     monkeypatch.setattr(probe, "PUSH_S", 0.4)
     with open(os.devnull) as nobody, FAR_RIGS[name](home, monkeypatch) as far:

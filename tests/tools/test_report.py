@@ -26,9 +26,7 @@ from softfinger.server.recording.reader import Event, Note, TickBlock, read_cont
 PREFIX = "softfinger-report/"
 
 
-def test_the_archive_has_every_part_and_no_private_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_the_archive_has_every_part_and_no_private_data(tmp_path, monkeypatch, caplog):
     private = [str(Path.home()), platform.node(), "SN1234567", "Project-X", "study", sys.prefix, str(CACHE_DIR)]
     words = f"{Path.home()}/study/hand.toml on {platform.node()}: serial number SN1234567, user {getpass.getuser()}"
     words += f"; Project-X/my-scene.toml, {sys.prefix}/bin/python"

@@ -17,14 +17,10 @@ from softfinger.config.schema import Scene
 from softfinger.proxy.kernels.jit.pack import flatten
 from softfinger.proxy.scene import build_scene
 from softfinger.server.cli import main, make_parser
+from softfinger.tools.stability import predicted
 from softfinger.tools.stability.limit import WallCase, does_grow_at, find_limits, make_wall_and_weight
 from softfinger.tools.stability.maps import VARIANTS
-from softfinger.tools.stability.predicted import (
-    LinearLoop,
-    compute_passive_limit,
-    compute_spectral_radius,
-    find_linear_limit,
-)
+from softfinger.tools.stability.predicted import LinearLoop, find_linear_limit
 from softfinger.tools.stability.runs import RunBlock, run_blocks
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,7 +110,7 @@ def test_linear_limit_is_the_first_crossing_of_the_unit_circle(loop: LinearLoop)
     first = crossings(loop)[0]
     # The radius is taken to be 1 up to 1e-12; it grows with K by about half of b T / m, 1e-5 of it here at least.
     assert find_linear_limit(loop) == pytest.approx(first, rel=1e-6)
-    below, above = compute_spectral_radius(loop, first * np.array([1.0 - 1e-5, 1.0 + 1e-5]))
+    below, above = predicted.compute_spectral_radius(loop, first * np.array([1.0 - 1e-5, 1.0 + 1e-5]))
     assert below < 1.0 < above
 
 
@@ -144,12 +140,12 @@ def test_passive_limit_is_that_of_colgate_and_schenkel(delay: int, tau: float) -
     """The bound is exact without delay and filter and for an undamped wall; otherwise it is on the safe side."""
     for wall in (0.0, 0.7, -0.7):
         loop = LinearLoop(0.3, 1.5, wall, 1e-3, delay, tau)
-        needed = colgate_schenkel(loop, compute_passive_limit(loop))
+        needed = colgate_schenkel(loop, predicted.compute_passive_limit(loop))
         # Negative damping has its largest effect at low frequencies, where neither delay nor filter matters.
         exact = wall <= 0.0 or (delay == 0 and tau == 0.0)
         # The grid starts at 1e-4 rad, where the maximum for an undamped wall is too small by 1e-8 of it.
         assert needed == pytest.approx(1.5, rel=1e-6) if exact else needed < 1.5
-    assert compute_passive_limit(LinearLoop(0.3, 1.0, 1.2, 1e-3, delay)) == 0.0
+    assert predicted.compute_passive_limit(LinearLoop(0.3, 1.0, 1.2, 1e-3, delay)) == 0.0
 
 
 @pytest.mark.plain
@@ -186,7 +182,7 @@ def test_no_passive_wall_is_unstable(variant: str) -> None:
         variant_case = msgspec.structs.replace(case, **VARIANTS[variant])
         damped = msgspec.structs.replace(variant_case, wall_damping_ns_per_m=0.5 * variant_case.damping_ns_per_m)
         for inside in (variant_case, damped):
-            bound = compute_passive_limit(inside.linear())
+            bound = predicted.compute_passive_limit(inside.linear())
             for share in (0.1, 0.5, 0.9, 0.999):
                 assert bound == 0.0 or not does_grow_at(inside, share * bound), (inside, share)
     if variant == "device alone":

@@ -73,8 +73,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     worker = f"worker --scheduler-file {where} --nthreads 1 --no-dashboard --no-nanny --local-directory {tmp_path}"
     words = [f"scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file {where}", worker, worker]
     processes = [
-        subprocess.Popen([*common, *some.split()], env={**os.environ, "PYTHONPATH": path}, **quiet)  # type: ignore[call-overload]
-        for some in words
+        subprocess.Popen([*common, *some.split()], env={**os.environ, "PYTHONPATH": path}, **quiet) for some in words
     ]
     try:
         deadline = time.monotonic() + 60.0
@@ -93,9 +92,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
             process.wait()
 
 
-def test_a_dask_scheduler_resumes_with_the_same_bits(
-    cluster: tuple[str, subprocess.Popen[bytes]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_dask_scheduler_resumes_with_the_same_bits(cluster, tmp_path, monkeypatch):
     """Half of the cases by threads into a file, the others by workers; then the scheduler is killed during a longer
     run."""
     scheduler, process = cluster

@@ -134,7 +134,7 @@ class Cases:
         self.works(pressed, rig)
 
     def faulty(self, case: str, pressed: Gadget, rig: str) -> Run:
-        """Run a daemon in contact until a fault of the gadget has ended it."""
+        """Run a daemon in contact until a fault of the gadget ends it."""
         with pushing(rig, pressed, self.in_contact(pressed)) as running:
             pressed.ask(f"make {case}")
             running.end()

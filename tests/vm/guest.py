@@ -17,9 +17,9 @@ import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ Wanted = Callable[[dict[str, Any]], bool]
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-class Gadget:
+class Gadget(AbstractContextManager[Any]):
     """A gadget's process, which answers lines."""
 
     def __init__(self, name: str, case: dict[str, Any]) -> None:
@@ -87,9 +87,6 @@ class Gadget:
         answer: dict[str, Any] = self.ask("seen")
         return answer
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         try:
             if self._process.poll() is None:
@@ -118,7 +115,7 @@ def become(user: int) -> None:
     keep_capabilities(1 << DAC_READ_SEARCH)
 
 
-class Run:
+class Run(AbstractContextManager[Any]):
     """A function in a fork with separate streams, run by `user`; None: root, who may access any file."""
 
     def __init__(self, work: Callable[[], int], user: int | None = None) -> None:
@@ -219,9 +216,6 @@ class Run:
         for file in self._files:
             file.close()
         self.code = os.waitstatus_to_exitcode(status)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.kill()

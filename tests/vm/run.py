@@ -167,7 +167,6 @@ def stream(command: list[str], limit_s: float) -> bool:
     """Run the emulator and print the guest's output; return False if it was killed at the limit."""
     begun = last = time.monotonic()
     machine = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-    assert machine.stdout is not None
     closing, late = threading.Event(), False
 
     def watch() -> None:

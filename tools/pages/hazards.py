@@ -142,7 +142,7 @@ _EVERYWHERE: Final = "tests/server/test_injected_faults.py::test_on_every_driver
 _PROCESS: Final = "tests/server/test_process_faults.py"
 _AT_ONCE: Final = "tests/server/test_commands_at_once.py"
 _ENDS: Final = "test_the_force_ends_with_the_process_of_commands_and_returns_after_arm"
-_NO_FILES: Final = "tests/server/test_out_of_memory.py::test_a_process_that_ends_without_free_descriptors_is_restarted"
+_NO_FILES: Final = "tests/server/test_process_faults.py::test_a_process_that_ends_without_free_descriptors_is_restarted"
 
 HAZARDS: Final = (
     Hazard(
@@ -184,7 +184,7 @@ HAZARDS: Final = (
     Hazard(
         "a device that warns", f"the driver, every {watches.DEVICE_PERIOD_S:g} s",
         f"{watches.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
-        ("fault device_warning",), ("tests/server/test_service_faults.py::test_each_warning_is_reported_once",),
+        ("fault device_warning",), ("tests/server/test_supervisor.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
         "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "automatic",
@@ -212,7 +212,7 @@ HAZARDS: Final = (
         (_INJECTED, _EVERYWHERE,
          "tests/drivers/test_serial_queue.py::test_a_board_that_stops_reading_counts_as_lost_in_time",
          "tests/drivers/test_falcon_stub.py::test_a_force_that_hangs_is_withdrawn_and_a_zero_follows",
-         "tests/drivers/test_hid_threads.py::test_a_write_that_hangs_ends_the_run_within_any_timeout_s"), within=_HELD,
+         "tests/drivers/test_hid_device.py::test_a_write_that_hangs_ends_the_run_within_any_timeout_s"), within=_HELD,
     ),
     Hazard(
         "a maker's service that breaks its protocol, closes, or reads nothing (Haply)", "the connection",
@@ -267,14 +267,14 @@ HAZARDS: Final = (
     Hazard(
         "a commanding program that has ended", "`heartbeat_s`", f"`heartbeat_s` and {1e3 * MAX_OFF_S:g} ms", "zero",
         "the next heartbeat, or `arm`", ("command heartbeat_missed", FAILED),
-        ("tests/server/test_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
+        ("tests/server/test_busy_commands.py::test_without_a_heartbeat_there_is_no_force_until_the_next",
          "tests/server/test_commands_at_once.py::test_the_force_ends_while_python_does_nothing"),
     ),
     Hazard(
         "a scene that cannot be rendered", "checked and compiled before the swap", "none", "as before",
         "send another scene", (),
         ("tests/server/test_replace.py::test_a_scene_that_cannot_be_built_changes_nothing",
-         "tests/server/test_commands.py::test_a_failed_compilation_is_reported"),
+         "tests/server/test_busy_commands.py::test_a_failed_compilation_is_reported"),
     ),
     Hazard(
         "bodies that diverge, take too long, or an error of MuJoCo", "the step of bodies", "the next tick",
@@ -304,13 +304,13 @@ HAZARDS: Final = (
         "a process of telemetry that ends, also while no memory or file descriptor is left", "the daemon", "none",
         "as before", f"it is started again, {_RETRIES}", ("fault publisher",),
         ("tests/server/test_publisher.py::test_a_killed_publisher_is_restarted",
-         "tests/server/test_out_of_memory.py::test_a_publisher_without_memory_is_restarted", _NO_FILES),
+         "tests/server/test_process_faults.py::test_a_publisher_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
         "a page that ends, also while no memory or file descriptor is left", "the daemon", "none", "as before",
         f"it is restarted at the same address, {process.RESTARTS} times in a run", ("fault page",),
         ("tests/server/viewer/test_page_process.py::test_a_page_that_ends_is_restarted_at_the_same_address",
-         "tests/server/test_out_of_memory.py::test_a_page_without_memory_is_restarted", _NO_FILES),
+         "tests/server/test_process_faults.py::test_a_page_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
         "a process of commands that hangs", "the loop: it does not report that it reads requests",
@@ -340,19 +340,19 @@ HAZARDS: Final = (
         "a clock that is set", "none needed: ticks, events and recordings use CLOCK_MONOTONIC", "none", "as before",
         _NONE, (),
         (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
-         "tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
+         "tests/server/test_supervisor.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
     ),
     Hazard(
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
         "the second ends with the process that uses the device in its message", "end the first", (),
-        ("tests/drivers/test_haply_loop.py::test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported",
+        ("tests/drivers/test_haply_ends.py::test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported",
          "tests/server/test_cli.py::test_an_endpoint_in_use_gives_exit_code_7"),
     ),
     Hazard(
         "memory of the daemon in swap", f"VmSwap, at the start and every {watches.SWAP_PERIOD_S:g} s",
         f"{watches.SWAP_PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
-        ("tests/server/test_service_faults.py::test_memory_in_swap_is_reported_once",),
+        ("tests/server/test_supervisor.py::test_memory_in_swap_is_reported_once",),
     ),
     Hazard(
         "a reader of ticks that fails", "the relay thread", "none", "as before, without that reader",
@@ -362,13 +362,13 @@ HAZARDS: Final = (
     Hazard(
         "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",
         _START, ("fault hotplug", "fault metrics", "fault world"),
-        ("tests/server/test_service_faults.py::test_a_failed_service_is_reported_and_ends_nothing",),
+        ("tests/server/test_supervisor.py::test_a_failed_service_is_reported_and_ends_nothing",),
     ),
     Hazard(
         "commands that cannot be received", "an error in their thread", "none",
         f"as before; with `heartbeat_s` the run ends, exit code {SafetyStop.exit_code}", _START,
         ("fault commands", FAILED),
-        ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
+        ("tests/server/test_supervisor.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
     ),
 )  # fmt: skip
 """Every hazard that is handled, each injected by a test."""

@@ -321,7 +321,7 @@ def test_a_participant_answers_by_key_and_by_command_and_may_stop(tmp_path: Path
     try:
         with Program(program(file, tmp_path), stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
             assert "Which?" in process.stdout.readline()
-            with repeated(lambda: os.write(ours, b"1"), 0.033):  # a key that is held
+            with repeated(lambda: os.write(ours, b"1"), 0.033):  # a key that remains pressed
                 assert "Release the key." in process.stdout.readline()
             practised = process.stdout.readline()
             os.write(ours, b"\n")

@@ -11,15 +11,7 @@ from scipy import optimize, stats
 from test_trial_order import make_tables
 
 from softfinger.config.sources import EXPERIMENTS, list_names
-from softfinger.server.experiment.analysis import (
-    ALL_PARTICIPANTS,
-    PowerLaw,
-    compute_student_975,
-    find_excluded_participants,
-    fit_groups,
-    fit_power_law,
-    format_fit,
-)
+from softfinger.server.experiment import analysis
 from softfinger.server.experiment.comparison import (
     compare_levels,
     compare_models,
@@ -132,20 +124,20 @@ def test_uniform_answers_leave_the_threshold_unbounded() -> None:
             stairs.update(levels[-1], answers)
         assert stairs.reversals == 0
         estimate = fit(levels, [answers] * 40, 0.02)
-        assert estimate.bounded and "not bounded by the answers" in format_fit(estimate)
+        assert estimate.bounded and "not bounded by the answers" in analysis.format_fit(estimate)
         assert (estimate.threshold < min(levels)) if answers else (estimate.threshold > max(levels))
 
 
 def test_students_quantile_is_scipys() -> None:
     for freedom in (1, 2, 3, 4, 5, 10, 31, 200):
-        assert compute_student_975(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), abs=1e-10)
+        assert analysis.compute_student_975(freedom) == pytest.approx(stats.t.ppf(0.975, freedom), abs=1e-10)
 
 
 def test_a_power_law_is_a_line_of_logarithms() -> None:
     rng = np.random.default_rng(4)
     levels = np.repeat([0.1, 0.3, 0.9], 5)
     answers = 10.0 * levels**0.8 * np.exp(0.2 * rng.standard_normal(15))
-    line, estimate = stats.linregress(np.log(levels), np.log(answers)), fit_power_law(levels, answers)
+    line, estimate = stats.linregress(np.log(levels), np.log(answers)), analysis.fit_power_law(levels, answers)
     half = line.stderr * stats.t.ppf(0.975, 13)
     assert estimate.exponent == pytest.approx(line.slope) and estimate.scale == pytest.approx(np.exp(line.intercept))
     assert estimate.exponent_95 == pytest.approx((line.slope - half, line.slope + half))
@@ -159,11 +151,14 @@ def test_a_power_law_is_a_line_of_logarithms() -> None:
 
 def test_a_single_level_has_no_exponent() -> None:
     answers = np.array([9.0, 11.0, 14.0])
-    estimate = fit_power_law([0.5] * 3, answers)
+    estimate = analysis.fit_power_law([0.5] * 3, answers)
     mean = stats.t.interval(0.95, 2, np.log(answers).mean(), stats.sem(np.log(answers)))
     assert np.isnan(estimate.exponent) and estimate.answer_95 == pytest.approx(np.exp(mean))
-    assert format_fit(estimate) == f"answer 11.1 ({estimate.answer_95[0]:.3g} to {estimate.answer_95[1]:.3g}) at 0.5"
-    assert format_fit(fit_power_law([0.5], [9.0])) == "answer 9 at 0.5"
+    assert (
+        analysis.format_fit(estimate)
+        == f"answer 11.1 ({estimate.answer_95[0]:.3g} to {estimate.answer_95[1]:.3g}) at 0.5"
+    )
+    assert analysis.format_fit(analysis.fit_power_law([0.5], [9.0])) == "answer 9 at 0.5"
 
 
 def recover(name: str, seeds: int) -> dict[str, tuple[float, float]]:
@@ -175,10 +170,10 @@ def recover(name: str, seeds: int) -> dict[str, tuple[float, float]]:
         design = msgspec.structs.replace(experiment.file.design, seed=seed)
         experiment.file = msgspec.structs.replace(experiment.file, design=design)  # its scenes are read once
         rows = [row | {"participant": "sub-01"} for row in experiment.rehearse()]
-        for group in fit_groups(experiment.file, rows):
+        for group in analysis.fit_groups(experiment.file, rows):
             condition = next(candidate for candidate in experiment.conditions if candidate.name == group.condition)
             observer = choose_by_condition(experiment.file.observer, condition)
-            if isinstance(group.fit, PowerLaw):
+            if isinstance(group.fit, analysis.PowerLaw):
                 truth, interval = observer.exponent, group.fit.exponent_95
                 error = group.fit.exponent / truth - 1.0
             else:
@@ -281,19 +276,19 @@ def test_chi_squared_is_scipys() -> None:
 
 def test_means_over_participants_are_geometric(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     experiment, rows = study
-    groups = fit_groups(experiment.file, rows)
+    groups = analysis.fit_groups(experiment.file, rows)
     for population in estimate_population(groups):
         own = [group for group in groups if group.condition == population.condition]
-        logs = np.log([group.fit.threshold for group in own if group.participant != ALL_PARTICIPANTS])
+        logs = np.log([group.fit.threshold for group in own if group.participant != analysis.ALL_PARTICIPANTS])
         assert population.mean == pytest.approx(np.exp(logs.mean()))
         assert population.interval_95 == pytest.approx(np.exp(stats.t.interval(0.95, 5, logs.mean(), stats.sem(logs))))
 
 
 def test_ratios_are_within_participants(study: tuple[Experiment, list[dict[str, Any]]]) -> None:
     experiment, rows = study
-    groups = fit_groups(experiment.file, rows)
+    groups = analysis.fit_groups(experiment.file, rows)
     (ratio,) = compare_levels(experiment.file, groups, ["sub-06"])
-    included = [group for group in groups if group.participant not in (ALL_PARTICIPANTS, "sub-06")]
+    included = [group for group in groups if group.participant not in (analysis.ALL_PARTICIPANTS, "sub-06")]
     none, damped = ([np.log(g.fit.threshold) for g in included if g.condition == name] for name in ("0.0", "4.0"))
     paired = stats.ttest_rel(damped, none).confidence_interval()
     assert ratio[:4] == ("damping", "4.0", "0.0", 5)
@@ -329,8 +324,10 @@ def test_a_participant_who_fails_catch_trials_is_excluded() -> None:
         for number, variant in enumerate((experiment, experiment, guessing), 1)
         for row in variant.rehearse(number)
     ]
-    assert list(find_excluded_participants(experiment.file, rows)) == ["sub-03"]
-    pooled = [group for group in fit_groups(experiment.file, rows) if group.participant == ALL_PARTICIPANTS]
+    assert list(analysis.find_excluded_participants(experiment.file, rows)) == ["sub-03"]
+    pooled = [
+        group for group in analysis.fit_groups(experiment.file, rows) if group.participant == analysis.ALL_PARTICIPANTS
+    ]
     assert [group.trials for group in pooled] == [24]
 
 

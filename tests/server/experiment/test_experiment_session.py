@@ -358,7 +358,7 @@ def test_several_participants_are_fitted_one_by_one_and_together(tmp_path: Path)
 def test_a_participant_is_a_number(tmp_path: Path) -> None:
     for name in ("../x", "Zoë", True, 1.0):
         with pytest.raises(ConfigError, match="must be an integer from 1 to 9999"):
-            Experiment(make_tables()).run(tmp_path / "out", name, OFFLINE)  # type: ignore[arg-type]
+            Experiment(make_tables()).run(tmp_path / "out", name, OFFLINE)
     assert not (tmp_path / "out").exists()
 
 

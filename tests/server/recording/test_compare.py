@@ -27,6 +27,8 @@ from softfinger.server.recording.results import read_results
 from softfinger.server.recording.run import load_run
 from softfinger.server.recording.writer import RecordingFile
 
+pytestmark = pytest.mark.plain
+
 STIFFNESS = "object.0.material.stiffness_n_per_m"
 SETTLE_TICKS = 499
 """The ramp of half a second at 1 kHz ends at its 500th tick; the filter settles much earlier."""
@@ -43,14 +45,12 @@ def find_touches() -> list[int]:
     return np.flatnonzero(run()[:, AT.contact_cause] == CAUSE_TOUCH).tolist()
 
 
-@pytest.mark.plain
 def test_a_replay_equals_its_recording(tmp_path: Path) -> None:
     outcome = replay_and_compare(recorded(tmp_path / "a.mcap", run()))
     assert outcome.ticks == outcome.compared == len(run())
     assert (outcome.different, outcome.first, outcome.left_out) == (0, None, [])
 
 
-@pytest.mark.plain
 def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
     outcome = replay_and_compare(recorded(tmp_path / "a.mcap", run()), **{STIFFNESS: 1100.0})
     first = outcome.first
@@ -65,7 +65,6 @@ def test_the_first_difference_is_the_first_touch(tmp_path: Path) -> None:
     assert 0.9 * in_contact <= outcome.different <= in_contact + 3
 
 
-@pytest.mark.plain
 def test_nan_differs_from_every_number(tmp_path: Path) -> None:
     past = load_run(recorded(tmp_path / "a.mcap", run()), READ_FIELDS)
     now, then = compare_run(past, load_scene("paper-plane"), load_rig("replay")), _select_recorded(past)
@@ -80,7 +79,6 @@ def test_nan_differs_from_every_number(tmp_path: Path) -> None:
     assert compare(past, now, broken, TOLERANCE).different == 0
 
 
-@pytest.mark.plain
 def test_ticks_after_a_gap_are_skipped_until_the_state_is_known(tmp_path: Path) -> None:
     middle = find_touches()[1] + 20
     holed = np.delete(run(), [middle, middle + 1], axis=0)
@@ -92,7 +90,6 @@ def test_ticks_after_a_gap_are_skipped_until_the_state_is_known(tmp_path: Path) 
     assert outcome.compared == len(holed) - (span.last - span.first + 1) and outcome.compared > middle
 
 
-@pytest.mark.plain
 def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
     part = run()[find_touches()[0] + 30 :]
     outcome = replay_and_compare(recorded(tmp_path / "a.mcap", part))
@@ -104,7 +101,6 @@ def test_a_recording_from_the_middle_of_a_run(tmp_path: Path) -> None:
 OTHER = "another scene or rig was set"
 
 
-@pytest.mark.plain
 def test_ticks_after_a_change_of_the_rig_are_skipped(tmp_path: Path) -> None:
     tick, rig = find_touches()[1] - 100, load_rig("replay")
     weak = msgspec.structs.replace(rig.guard, force_max_n=0.3)
@@ -119,7 +115,6 @@ def test_ticks_after_a_change_of_the_rig_are_skipped(tmp_path: Path) -> None:
     assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
 
-@pytest.mark.plain
 def test_commands_are_replayed(tmp_path: Path) -> None:
     tick = (find_touches()[1] + find_touches()[2]) // 2
     while run()[tick, AT.contact_mode] != FREE:
@@ -142,7 +137,6 @@ def test_commands_are_replayed(tmp_path: Path) -> None:
     assert (outcome.left_out[-1].last, outcome.left_out[-1].why) == (len(records) - 1, OTHER)
 
 
-@pytest.mark.plain
 def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     records = run().copy()
     at = find_touches()[0] + 10
@@ -161,7 +155,6 @@ def test_forces_withheld_by_the_driver_are_skipped(tmp_path: Path) -> None:
     assert (outcome.first, outcome.compared) == (None, len(refused))
 
 
-@pytest.mark.plain
 def test_several_fingers(tmp_path: Path) -> None:
     scene, names = load_scene("pinch"), ["thumb", "index"]
     played = [resample(load_poses(f"pinch-{name}"), 1000.0)[:1500] for name in names]
@@ -186,7 +179,6 @@ def test_several_fingers(tmp_path: Path) -> None:
     assert load_finger_poses(names, {"": str(path)}, 1000.0).tobytes() == np.stack(played, axis=1).tobytes()
 
 
-@pytest.mark.plain
 def test_the_verb(tmp_path: Path) -> None:
     path = recorded(tmp_path / "a.mcap", run())
     assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in read_stdout("replay", str(path))
@@ -211,17 +203,6 @@ def test_the_verb(tmp_path: Path) -> None:
     assert called("replay", "tap", "--scene", "paper-plane").returncode == 2
 
 
-def test_against_the_forces_sent_to_a_device(tmp_path: Path) -> None:
-    for ending in ("csv", "npz"):
-        forces = str(tmp_path / f"forces.{ending}")
-        words = ["run", "--once", "--recording", "tap", "--realtime", "off", "--forces", forces]
-        read_stdout(*words, "--endpoint", f"ipc://{tmp_path}/t")
-        words = ["replay", "tap", "--scene", "paper-plane", "--tolerance", "0", "--against", forces, "--json"]
-        report = printed(read_stdout(*words))
-        assert report["compared"] == len(run()) and set(report["largest"]) == {"force", "torque"}
-
-
-@pytest.mark.plain
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
 def test_exports_have_every_bit(ending: str, tmp_path: Path) -> None:
     path, out = recorded(tmp_path / "a.mcap", run()), tmp_path / f"out{ending}"
@@ -238,7 +219,6 @@ def test_exports_have_every_bit(ending: str, tmp_path: Path) -> None:
     assert called("export", str(path), "--out", str(tmp_path / "out.txt")).returncode == 2
 
 
-@pytest.mark.plain
 def test_info_summarizes_a_recording(tmp_path: Path) -> None:
     holed = np.delete(run(), slice(100, 110), axis=0)
     mark = event("mark", "mark", 9, command_id="a", label="trial 7", data={})

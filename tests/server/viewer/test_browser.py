@@ -109,8 +109,7 @@ def test_gap_shadow_and_scale_are_shown(screen: Screen, client: Client) -> None:
         return height > 19.0 and float(shown) == pytest.approx(height, abs=0.06)
 
     client.hand((0.01, 0.0, 0.03), (1.0, 0.0, 0.0, 0.0))
-    assert eventually(is_right)
-    assert eventually(lambda: screen.shows("arrow: 0.3 N/cm"))
+    assert eventually(is_right) and eventually(lambda: screen.shows("arrow: 0.3 N/cm"))
     x, y = screen.at((CM * 0.01, 0.0, 0.0))
     box = screen.page.locator("canvas").first.bounding_box()
 
@@ -190,8 +189,7 @@ def test_the_layout_fits_the_window(screen: Screen) -> None:
         return float(page.locator("canvas").first.bounding_box()["width"])
 
     page.set_viewport_size({"width": 1280, "height": 800})
-    assert eventually(lambda: 880.0 < canvas_width() < 900.0)
-    assert eventually(lambda: plots.count() == 3)
+    assert eventually(lambda: 880.0 < canvas_width() < 900.0) and eventually(lambda: plots.count() == 3)
     page.set_viewport_size({"width": 390, "height": 844})
     assert eventually(lambda: canvas_width() == 390.0)
     page.reload()
@@ -200,8 +198,7 @@ def test_the_layout_fits_the_window(screen: Screen) -> None:
     # A phone shows 2 cm on both sides of the fingertip, as wide windows do.
     assert eventually(lambda: all(0.0 < screen.at((x, 0.0, 0.6))[0] < 390.0 for x in (-2.0, 2.0)))
     page.set_viewport_size({"width": 1280, "height": 800})
-    assert eventually(lambda: 880.0 < canvas_width() < 900.0)
-    assert eventually(lambda: plots.count() == 3)
+    assert eventually(lambda: 880.0 < canvas_width() < 900.0) and eventually(lambda: plots.count() == 3)
     boxes = [plots.nth(index).bounding_box() for index in range(3)]
     assert all(box["y"] + box["height"] <= 800.0 for box in boxes), boxes
     screen.tab("Show")
@@ -236,8 +233,7 @@ def test_a_drag_of_the_mouse_moves_the_hand_of_the_daemon(screen: Screen, client
         screen.drag(ball(), (40.0, 0.0))
         return float(np.linalg.norm(np.subtract(client.get_state().position, before)[:2])) > 0.002
 
-    assert eventually(moved, every_s=1.0)
-    assert eventually(lambda: client.get_state().force[2] > 0.3)
+    assert eventually(moved, every_s=1.0) and eventually(lambda: client.get_state().force[2] > 0.3)
     assert eventually(lambda: any(screen.shows(state) for state in ("sticking", "rolling", "sliding")))
 
 

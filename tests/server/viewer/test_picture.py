@@ -19,18 +19,10 @@ from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
 from softfinger.server.surface_meshes import SurfaceMesh, make_cone, make_surface
 from softfinger.server.viewer import page
 from softfinger.server.viewer.inputs import Nudge
-from softfinger.server.viewer.nodes import glyphs
+from softfinger.server.viewer.nodes import glyphs, looks
 from softfinger.server.viewer.nodes.bodies import BodyNodes, SceneStart
 from softfinger.server.viewer.nodes.fingertip import make_finger, nail
-from softfinger.server.viewer.nodes.looks import (
-    ARROW_MAX_CM,
-    COLOURS,
-    PLUMB,
-    TORSION,
-    Looks,
-    VisibleState,
-    classify_contact,
-)
+from softfinger.server.viewer.nodes.looks import ARROW_MAX_CM, COLOURS, VisibleState, classify_contact
 from softfinger.server.viewer.plots import LINES
 from softfinger.server.viewer.target import Target, drag_target, from_angles, intersect_plane, nudge_target, to_angles
 from softfinger.server.viewer.timeline import COLUMNS, Events, find_state_runs, format_band, format_pointer
@@ -230,7 +222,7 @@ def test_a_contact_is_classified_by_its_motion(after: dict[str, float], state: V
 def test_colours_are_visible_in_both_looks(background: tuple[int, int, int]) -> None:
     """Contrast of colours with a meaning to the panel: at least 3 to 1, by WCAG 2.2, 1.4.11."""
     lines = [tuple(bytes.fromhex(line[1:])) for line in LINES]
-    for colour in (*COLOURS.values(), *lines, TORSION, PLUMB):
+    for colour in (*COLOURS.values(), *lines, looks.TORSION, looks.PLUMB):
         darker, brighter = sorted(luminance(shown) for shown in (colour, background))
         assert (brighter + 0.05) / (darker + 0.05) >= 3.0, colour
 
@@ -243,7 +235,7 @@ def luminance(colour: tuple[int, ...]) -> float:
 
 @given(st.floats(0.0, 1e3), st.floats(0.1, 10.0))
 def test_an_arrow_fits_on_the_screen(force: float, newtons_per_cm: float) -> None:
-    scale = Looks(newtons_per_cm=newtons_per_cm).arrow(force)
+    scale = looks.Looks(newtons_per_cm=newtons_per_cm).arrow(force)
     assert force / scale <= ARROW_MAX_CM * (1.0 + 1e-12) and scale >= newtons_per_cm
     if force / newtons_per_cm > ARROW_MAX_CM:
         assert force / scale > ARROW_MAX_CM / 2.5 * (1.0 - 1e-12)

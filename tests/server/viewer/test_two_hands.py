@@ -56,7 +56,7 @@ def hands_next_to_box(client: Client, screen: Screen) -> None:
     screen.tab("Hand")
 
 
-def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+def test_a_pinch_with_the_wheel_lifts_the_box(screen: Screen, client: Client, heights) -> None:
     mouse, keyboard = screen.page.mouse, screen.page.keyboard
     x, y = screen.at(tuple(CM * np.array(client.get_state().position)))
     corner = screen.at((0.0, 0.0, 0.0))
@@ -97,7 +97,7 @@ def test_a_drag_continues_while_the_world_is_reset(screen: Screen, client: Clien
     mouse.up()
 
 
-def test_two_hands_on_keys_lift_the_box(screen: Screen, client: Client, heights) -> None:  # type: ignore[no-untyped-def]
+def test_two_hands_on_keys_lift_the_box(screen: Screen, client: Client, heights) -> None:
     keyboard = screen.page.keyboard
     corner = screen.at((0.0, 0.0, 0.0))
     for _ in range(NOTCHES):

@@ -23,7 +23,7 @@ BUS_USB = 3
 
 
 class HidDevice(ABC):
-    """A device whose thread passes the host's reports to `take(report)`, with the report's id or 0 first."""
+    """A device with a thread that passes the host's reports to `take(report)`, with the report's id or 0 first."""
 
     def __init__(self, vendor: int, product: int, take: Callable[[bytes], None]) -> None:
         self.ids, self._take = (vendor, product), take
