@@ -69,8 +69,7 @@ def starting(folder: Path, requests: dict[str, dict[str, Any]]) -> Iterator[tupl
             answers[answer["command_id"]] = answer["success"]
         yield daemon, answers
         daemon.stop()
-        assert daemon.wait(WAIT_S)
-        assert not daemon.devices[0].wrenches.any()
+        assert daemon.wait(WAIT_S) and not daemon.devices[0].wrenches.any()
 
 
 def test_requests_before_the_start_are_answered(tmp_path: Path) -> None:
