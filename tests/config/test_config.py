@@ -164,6 +164,7 @@ SCENE_FAULTS = [
     ("object[0].name", "a\nb", [r"object[0].name = 'a\nb': must have printable characters"]),
     ("object[0].name", 7, ["object[0].name = 7: must be text"]),
     ("object[0].name", "1", ["object[0].name = '1': starts with a digit, but object.1 selects the second object"]),
+    ("object[0].name", "01.top", ["object[0].name = '01.top': starts with a digit"]),
     ("object[0].position_m", [1, 2], ["object[0].position_m = [1, 2]: must be a list of 3 numbers", "this has 2"]),
     ("object[0].position_m", 1, ["object[0].position_m = 1: must be a list of 3 numbers from -1000 to 1000 m"]),
     ("object[0].position_m", [0, math.nan, 0], ["object[0].position_m[1] = nan:", "from -1000 to 1000 m"]),

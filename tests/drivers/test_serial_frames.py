@@ -323,6 +323,7 @@ CHANGES: list[tuple[str, Any, str]] = [
     ("frames.setup", {"bytes": 1, "field": [{"meaning": "torque_a", "offset": 0, "type": "int8"}]}, "must be constant"),
     ("kinematics", None, "and frames belong together: set both or none"),
     ("baud", 12345, "baud = 12345: must be one of"),
+    ("force_max_n", 33.0, "force_max_n = 33.0: must be a number from 0 to 32"),
     ("timeout_s", 0.01, "timeout_s = 0.01: must be at least quiet_s = 0.02"),
     ("product_id", 0x0483, "product_id = 1155: vendor_id and product_id belong together"),
 ]

@@ -78,7 +78,7 @@ MISSING = {
     "falcon": NEITHER,
     "omega-6": "libdrd was not found",
     "touch": "libHD was not found",
-    "woodenhaptics-2019": "no HID device 16c0:0486",
+    "woodenhaptics-2019": "no HID device 16c0:0486 is attached: plug it in",
     "woodenhaptics-v3": "no serial port 16c0:0483",
     "haply-inverse3": "no Inverse Service on port 10001",
     "spacemouse": "no SpaceMouse",

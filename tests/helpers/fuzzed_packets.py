@@ -41,7 +41,7 @@ GLB: Final = [TWICE.export(file_type="glb")]
 
 
 def pictures() -> list[bytes]:
-    heights = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    heights = (np.arange(600) % 251).astype(np.uint8).reshape(20, 30)
     made = []
     for pixels in (heights, heights.astype(np.uint16) * 1000):
         out = io.BytesIO()
@@ -63,7 +63,7 @@ def commands() -> list[bytes]:
     requests: list[tuple[str, Any]] = [
         ("get_state", {}), ("set_params", {"values": {"object.table.material.stiffness_n_per_m": 900.0}}),
         ("set_scene", {"scene": "paper-plane", "overrides": {}}), ("mark", {"label": "a", "data": {"b": [1, None]}}),
-        ("drive", {"object": "disc", "position_m": [0.0, 0.0, 0.0], "orientation": [1.0, 0.0, 0.0, 0.0]}),
+        ("drive", {"object": "disc", "position_m": [0.0, 0.0, 0.0], "orientation_wxyz": [1.0, 0.0, 0.0, 0.0]}),
         ("record_start", {"file": "run.mcap"}), ("zero", {"position_m": [0, 0, 0]}), ("mesh", {"object": 1}),
         ("hand", {"position_m": [0.0, 0.0, 0.01]}),
     ]  # fmt: skip

@@ -114,6 +114,7 @@ def _records() -> Any:
     from helpers.telemetry_records import put, synthetic
 
     records = synthetic(20)
+    put(records, "probe.orientation", (1.0, 0.0, 0.0, 0.0))
     put(records, "tick", range(20))
     put(records, "timestamp", [1.7e9 + tick / 1000.0 for tick in range(20)])
     return records
@@ -153,11 +154,10 @@ def _load_poses(path: Path, _: bytes) -> None:
     assert (np.diff(poses.t) > 0.0).all()
 
 
-def _poses(path: Path) -> None:
-    import numpy as np
+def _read_picture(path: Path, _: bytes) -> None:
+    from softfinger.config.arrays.grids import read_grid
 
-    t = np.arange(20) * 0.01
-    np.savez(path, t=t, position=np.column_stack((t, t, t)), orientation=np.tile([1.0, 0.0, 0.0, 0.0], (20, 1)))
+    assert read_grid(path).ndim == 2
 
 
 @cache
@@ -196,7 +196,8 @@ def targets() -> dict[str, Target]:
         "rig": Target(_shipped("config/rigs/*.toml"), lambda path, _: load_rig(path), config, ".toml"),
         "faults": Target(_shipped("config/faults/*.toml"), lambda path, _: load_faults(path), config, ".toml"),
         "poses-csv": Target(_shipped("config/recordings/*.csv"), _load_poses, recording, ".csv"),
-        "poses-npz": Target(_written(_poses, ".npz"), _load_poses, recording, ".npz"),
+        "poses-results": Target(_written(_results, ".csv"), _load_poses, recording, ".csv"),
+        "poses-npz": Target(_written(_results, ".npz"), _load_poses, recording, ".npz"),
         "poses-mcap": Target(_written(_results, ".mcap"), _load_poses, recording, ".mcap"),
         "table": Target(lambda: TABLES, lambda path, _: read_table(path, layout), recording, ".txt"),
         "journal": Target(_written(_journal, ".jsonl"), lambda path, _: journal.read(path), config, ".jsonl"),
@@ -208,7 +209,7 @@ def targets() -> dict[str, Target]:
         "mesh-obj": Target(lambda: packets.OBJ, parse_mesh, config, ".obj"),
         "mesh-ply": Target(lambda: packets.PLY, parse_mesh, config, ".ply"),
         "mesh-glb": Target(lambda: packets.GLB, parse_mesh, config, ".glb"),
-        "grid-png": Target(packets.pictures, lambda path, _: read_grid(path), config, ".png"),
+        "grid-png": Target(packets.pictures, _read_picture, config, ".png"),
         "grid-npy": Target(packets.arrays, lambda path, _: read_grid(path), config, ".npy"),
         "command": Target(packets.commands, lambda _, data: parse(data), (DeclinedRequest,), named=False),
         **packets.targets(Target),
