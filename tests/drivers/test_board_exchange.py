@@ -107,9 +107,9 @@ class Board:
         self.calls = []
         return int(self._functions.write(self.block.handle, wrench))
 
-    def silence(self) -> int:
+    def disarm_and_zero(self) -> int:
         self.calls = []
-        return int(self._functions.silence(self.block.handle))
+        return int(self._functions.disarm_and_zero(self.block.handle))
 
     def receive_sample(self) -> None:
         self.incoming = [0, 0, 1]
@@ -134,10 +134,10 @@ def test_a_device_that_is_closed_is_lost(board: Board) -> None:
     board.word[BOARD.fd] = -1
     assert board.read() == LOST and board.calls == []
     assert (board.write(ZERO), board.write(FORCE)) == (OK, WITHHELD) and board.calls == []
-    assert board.silence() == 1 and board.calls == []
+    assert board.disarm_and_zero() == 1 and board.calls == []
     board.word[BOARD.fd] = 0
     assert board.write(ZERO) == OK and board.calls == ["busy? deaf", "zero"]
-    assert board.silence() == 1 and board.calls == ["zero"]
+    assert board.disarm_and_zero() == 1 and board.calls == ["zero"]
     board.receive_sample()
 
 
@@ -257,7 +257,7 @@ def test_nothing_is_sent_while_the_device_is_being_stopped(board: Board) -> None
     board.incoming = [1]
     assert board.read() == OK
     assert board.write(FORCE) == WITHHELD and board.write(ZERO) == WITHHELD and board.calls == []
-    assert board.silence() == 0 and board.calls == [] and board.word[BOARD.armed] == 0
+    assert board.disarm_and_zero() == 0 and board.calls == [] and board.word[BOARD.armed] == 0
     assert board.word[BOARD.lock] == 1
     board.word[BOARD.lock] = 0
 
@@ -328,7 +328,7 @@ def test_a_busy_board_gets_only_a_zero_that_ends_a_force(board: Board) -> None:
 def test_silence_succeeds_once_the_zero_is_sent(status: int, unsent_bytes: int, succeeded: int, board: Board) -> None:
     board.receive_sample()
     board.zero, board.word[BOARD.unsent_bytes] = status, unsent_bytes
-    assert board.silence() == succeeded and board.calls == ["zero"]
+    assert board.disarm_and_zero() == succeeded and board.calls == ["zero"]
     assert board.word[BOARD.armed] == 0 and board.word[BOARD.lock] == 0
     board.zero = OK
     assert board.write(FORCE) == WITHHELD

@@ -77,7 +77,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     ]
     try:
         deadline = time.monotonic() + 60.0
-        while not where.exists():
+        while not where.exists() or not where.stat().st_size:
             assert time.monotonic() < deadline and processes[0].poll() is None, "the scheduler did not start"
             time.sleep(0.05)
         address = json.loads(where.read_text())["address"]
