@@ -1,6 +1,6 @@
 """Boot a Debian kernel in QEMU with this machine's files, and run the tests of tests/vm in it: `make test-vm`.
 
-    python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--plain COMMAND] [--systemd] [words for pytest ...]
+    python tests/vm/run.py [--kernel PACKAGE] [--limit SECONDS] [--busy] [--plain COMMAND] [--systemd] [pytest's words]
 
 Needs no KVM, and for the drivers no privilege: the processor is emulated, some twenty times slower than this one. The
 tests of drivers (`on_*.py`) and those of the service (`under_systemd.py`), which need systemd as the first process and
@@ -30,6 +30,10 @@ from vm import initramfs, kernel  # noqa: E402
 QEMU = "qemu-system-x86_64"
 UDEV, SYSTEMD = "/lib/systemd/systemd-udevd", "/lib/systemd/systemd"
 MEMORY_MB = 2048
+PARALLEL = ("-accel", "tcg,thread=multi", "-smp", "2")
+COUNTED = ("-accel", "tcg", "-smp", "1", "-icount", "shift=1")
+"""One processor, and a clock that counts instructions of 2 ns: time limits of the tests and of the service do not
+depend on the load of this machine. Several times slower on an idle one."""
 LIMIT_S = 1500.0
 SILENCE_S = 20.0
 """Time without a line from the guest after which the elapsed time is printed."""
@@ -48,17 +52,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="The tests of tests/vm, in a virtual machine with a true USB stack.")
     parser.add_argument("--kernel", help=f"Debian package of the kernel (default: what {kernel.META_PACKAGE} names)")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds, then it is ended (default: %(default)g)")
+    parser.add_argument("--busy", action="store_true", help="stop the guest's clock while it waits for a processor")
     parser.add_argument("--plain", metavar="COMMAND", help="run this in the guest's shell in place of the tests")
     parser.add_argument("--systemd", action="store_true", help="with --plain: a guest whose first process is systemd")
     args, words = parser.parse_known_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # ends the emulator, too
     try:
         if args.plain:
-            return boot(args.kernel, args.limit, args.plain, args.systemd)
+            return boot(args, args.plain, args.systemd)
         commands = [(tests(words, systemd), systemd) for systemd in (False, True)]
-        codes = [
-            boot(args.kernel, args.limit, shlex.join(command), systemd) for command, systemd in commands if command
-        ]
+        codes = [boot(args, shlex.join(command), systemd) for command, systemd in commands if command]
         return max(code for code in codes if code != NOT_ASKED_FOR or set(codes) == {NOT_ASKED_FOR})
     except kernel.VmError as error:
         print(f"vm: {error}", file=sys.stderr)
@@ -79,8 +82,9 @@ def tests(words: list[str], systemd: bool) -> list[str]:
     return [sys.executable, "-m", "pytest", *options, *others, *modules] if modules else []
 
 
-def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> int:
+def boot(args: argparse.Namespace, command: str, systemd: bool) -> int:
     """Make the machine, run the command in it, and return the exit code."""
+    limit_s: float = args.limit
     for needed in (QEMU, UDEV, *([SYSTEMD] if systemd else [])):
         if shutil.which(needed) is None:
             raise kernel.VmError(f"{needed} is not installed: make vm-packages")
@@ -90,7 +94,7 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
         )
     cache = cache_folder()
     with step("1/4 kernel"):
-        linux = kernel.find(cache, package)
+        linux = kernel.find(cache, args.kernel)
     environment = guest_environment()
     with step("2/4 kernels of softfinger, for the guest's processor"):
         warm(cache / "kernels", environment)
@@ -105,7 +109,7 @@ def boot(package: str | None, limit_s: float, command: str, systemd: bool) -> in
         exports = "".join(f"export {key}={shlex.quote(value)}\n" for key, value in environment.items())
         (shared / "command").write_text(f"{exports}cd {shlex.quote(str(ROOT))}\n{command}\n")
         log(f"4/4 {QEMU}, at most {limit_s:g} s")
-        ended = stream(qemu(linux, folder, systemd), limit_s)
+        ended = stream([*qemu(linux, folder, systemd), *(COUNTED if args.busy else PARALLEL)], limit_s)
         if not ended:
             log(f"ended after {limit_s:g} s: --limit gives more")
             return TIMED_OUT
@@ -159,7 +163,7 @@ def qemu(linux: kernel.Kernel, folder: Path, systemd: bool) -> list[str]:
     root = "local,path=/,mount_tag=host,security_model=none,readonly=on,multidevs=remap"
     shared = f"local,path={folder / 'shared'},mount_tag=vm,security_model=none"
     return [
-        *(QEMU, "-machine", "q35", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", str(MEMORY_MB)),
+        *(QEMU, "-machine", "q35", "-cpu", "max", "-m", str(MEMORY_MB)),
         *("-display", "none", "-serial", "stdio", "-monitor", "none", "-net", "none", "-no-reboot"),
         *("-kernel", str(linux.image), "-initrd", str(folder / "initramfs"), "-append", arguments),
         *("-virtfs", root, "-virtfs", shared),
