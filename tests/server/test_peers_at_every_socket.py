@@ -275,6 +275,7 @@ RAW: dict[str, tuple[bytes, bytes]] = {
 
 
 def test_raw_peers_delay_no_tick_and_no_request(peers: Peers) -> None:
+    """Five peers of each kind at once, while other clients connect and send requests."""
     address, daemon, ended = peers.addresses["commands"], peers.owners["daemon"], threading.Event()
 
     def attack(first: bytes, others: bytes) -> None:
