@@ -310,9 +310,9 @@ def test_check_lists_the_filters(tmp_path: Path) -> None:
 
 def test_doctor_queries_the_service() -> None:
     with Service() as service:
-        row = attached.check_inverse_service(rig(service))
+        row = attached.check_inverse_service(rig(service).device.options)
         assert (row.state, row.seen) == ("good", f"version 3.5.0.0, lists inverse3 {ID}")
         service.do("vanish", id=ID)
-        assert attached.check_inverse_service(rig(service)).state == "bad"
-    row = attached.check_inverse_service(rig(service))
+        assert attached.check_inverse_service(rig(service).device.options).state == "bad"
+    row = attached.check_inverse_service(rig(service).device.options)
     assert row.state == "bad" and "systemctl start haply-inverse-service" in row.remedy

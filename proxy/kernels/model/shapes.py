@@ -149,8 +149,8 @@ class AnyShape(NamedTuple):
     facet     index of the triangle of a mesh that is meant, 0 for other shapes
     side      -1 if it is touched from inside, else 1
     surface   SMOOTH, FACETED for a mesh, CREASED for a height map, FLAT or WORLD_PLANE for a plane
-    reach  m  radius of a ball about the origin of its frame that contains it; inf if none does; for a height map, its
-              largest height
+    reach  m  radius of a ball about the origin of its frame that contains it; inf if none does; for a height map, a
+              bound of its heights
     """
 
     sizes: ReadOnly

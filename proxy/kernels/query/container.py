@@ -150,11 +150,11 @@ def find_largest_semi_axis(tip: Any) -> float:
 def is_beyond(objects: Many, row: int, x: Vec3, limit: float) -> bool:
     """Return True if the bounding volume of an object is farther than `limit` (m) from `x`; takes 2 ns.
 
-    The volume is a ball, for a height map all below its largest height.
+    The volume is a ball, for a height map all below its largest height, `reach`.
     """
     shape, (pose, _) = objects.entries[row].shape, find_poses(objects, row)
     if shape.surface == CREASED:
-        return into(pose, x)[2] > (max(limit, 0.0) + shape.reach) * SQUARE_MARGIN
+        return into(pose, x)[2] - shape.reach > max(limit, 0.0) * SQUARE_MARGIN
     offset = vec3.sub(x, pose.position)
     distance = max(limit, 0.0) + shape.reach + find_largest_semi_axis(objects.tip)
     return vec3.dot(offset, offset) > SQUARE_MARGIN * distance * distance

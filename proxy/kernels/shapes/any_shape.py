@@ -43,7 +43,6 @@ from softfinger.proxy.kernels.shapes.composite import (
     raised_clear,
     shade_normal,
 )
-from softfinger.proxy.kernels.shapes.heightmap.tiles import TILE_SIZE
 from softfinger.proxy.kernels.shapes.kernel_table import (
     CHART,
     CLOSEST,
@@ -297,6 +296,5 @@ def compute_reach(shape: Any) -> float:
         case Mesh() if shape.row[0].side > 0.0:
             return math.hypot(*shape.row[0].center) + 0.5 * shape.row[0].size
         case Heightmap():
-            a, b1, b2, thick, *_ = shape.facets.array.reshape(-1, TILE_SIZE)[: int(shape.columns * shape.rows)].T
-            return float(shape.pitch * (a + 0.5 * (abs(b1) + abs(b2)) + thick).max())
+            return float(shape.pitch * shape.coefficients.array.max())  # a B-spline is below its largest coefficient
     return math.inf
