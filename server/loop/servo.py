@@ -180,23 +180,18 @@ def schedule_next(
 
 @entry
 def run_servo_loop(
-    tuning_like: Tuning,
-    start: Memory,
-    ios: tuple[DeviceIO, ...],
-    schedule: Schedule,
-    shared: SharedMemory,
+    tuning_like: Tuning, start: Memory, ios: tuple[DeviceIO, ...], schedule: Schedule, shared: SharedMemory,
     scratch: Scratch,
-) -> tuple[int, int, int]:
+) -> tuple[int, int, int]:  # fmt: skip
     """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 
     Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
     """
     timespec, buffers = scratch.timespec, scratch.buffers
     samples, records = field_of_each(buffers, "sample"), field_of_each(buffers, "record")
-    version = refresh(shared.tuning, -1, scratch.values)
+    nominal, version = schedule.period_ns / NS_PER_S, refresh(shared.tuning, -1, scratch.values)
     set_now(scratch.ramp, scratch.values)
     tuning, memory, fault_times = unpack(tuning_like, scratch.ramp.now), start, NO_FAULT_TIMES
-    nominal = schedule.period_ns / NS_PER_S
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     pace = make_first_pace(read_clock_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
 
@@ -236,9 +231,8 @@ def run_servo_loop(
         publish_record(shared, scratch.row, number)
         busy, pace = schedule_next(shared, schedule, pace, woke, timespec)
         bits, index = collect_guard_bits(buffers)
-        fault_times, fault = detect_fault(
-            fault_times, bits, stamp.late, nominal if schedule.own_clock else pace.dt, nominal
-        )
+        last_dt = nominal if schedule.own_clock else pace.dt
+        fault_times, fault = detect_fault(fault_times, bits, stamp.late, last_dt, nominal)
         if fault != 0:
             ending, finger = fault, index
             store_release(shared.progress, 2, int(fault_times.late > 0.5 * fault_times.lost))

@@ -140,10 +140,8 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     inverse = (last[0].inverse, last[1].inverse)
     left_u, left_v = multiply_both(inverse, drive_u, drive_v)
     largest = vec3.norm(motion_u) + vec3.norm(motion_v) + vec3.norm(last[0].change) + vec3.norm(last[1].change)
-    u, v = (
-        predict_displacement(last[0], vec3.sub(motion_u, left_u), largest),
-        predict_displacement(last[1], vec3.sub(motion_v, left_v), largest),
-    )
+    u = predict_displacement(last[0], vec3.sub(motion_u, left_u), largest)
+    v = predict_displacement(last[1], vec3.sub(motion_v, left_v), largest)
     before_one = move_into_surface(body, state.fingers[0], last[0].displacement)
     before_two = move_into_surface(body, state.fingers[1], last[1].displacement)
     x, y = make_empty_spot(), make_empty_spot()
@@ -190,7 +188,6 @@ def press_two(fingers: Any, scene: Scene, objects: Any, state: State, poses: Any
     surface_v = update_surface(scene, fingers[1], last[1], v, second, measures, dt)
     if not is_loaded:
         inverse = ((mat3.IDENTITY, mat3.ZEROS), (mat3.ZEROS, mat3.IDENTITY))
-    surface_u = replace(surface_u, "inverse", inverse[0])
-    surface_v = replace(surface_v, "inverse", inverse[1])
+    surface_u, surface_v = replace(surface_u, "inverse", inverse[0]), replace(surface_v, "inverse", inverse[1])
     contacts = (report_surface(body, first, surface_u, slope_u), report_surface(body, second, surface_v, slope_v))
     return (place_probe(after_one, poses[0]), place_probe(after_two, poses[1])), contacts, (surface_u, surface_v)

@@ -47,6 +47,8 @@ from softfinger.proxy.kernels.query.objects import (
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
 
+MAX_HITS = 4
+"""Largest number of objects that the proxy hits on its path in a tick: three constraints, and the one that stops it."""
 MAX_OBSTACLES = 16
 """Largest number of obstacles added to the active set in a tick. If more are found, the proxy does not move in it."""
 
@@ -141,20 +143,7 @@ def settle_for(
     is_creased = has_creases_near(objects)
     rounds = MAX_SLIDING_ROUNDS if is_creased else MAX_ROUNDS
     last_center, last_active = center, active
-    center = vec3.add(probe, sum_displacements(active))
-    for _ in range(4):
-        hit, stop, remaining = find_first_hit(objects, start, center, radius, True, list_objects(active), remaining)
-        if hit < 0.0:
-            break
-        _, point, normal, remaining = find_closest_within(objects, hit, stop, remaining)
-        if count_constraints(active) == 3:
-            # Already three constraints: stop at the fourth, and continue in the next tick.
-            center = stop
-            break
-        active = add_constraint(active, hit, normal)
-        center, active, _, remaining = project_until_rest(
-            objects, radius, probe, vec3.add_scaled(point, radius, normal), active, 1, remaining
-        )
+    center, active, remaining = move_along_path(objects, radius, probe, start, active, remaining)
     if not is_creased:
         # The second of two flush objects is active from the start: else the proxy would fall off at the first's edge.
         near = find_deepest(objects, center, radius * (1.0 + INSIDE_TOLERANCE), list_objects(active), remaining)
@@ -195,6 +184,30 @@ def settle_for(
     if is_creased:
         active = merge_support_points(active)
     return Rest(center, sort_by_load(objects, active), is_late, remaining)
+
+
+@jit
+def move_along_path(
+    objects: Any, radius: float, probe: Vec3, start: Vec3, active: ActiveSet, budget: int
+) -> tuple[Vec3, ActiveSet, int]:
+    """Move the proxy from `start` (3,) m to the point that `active` allows, and add the objects that it hits.
+
+    Return its center (3,) m, the active set and the remaining budget. If three constraints are active, it stops at the
+    fourth object, and continues in the next tick.
+    """
+    center = vec3.add(probe, sum_displacements(active))
+    for _ in range(MAX_HITS):
+        hit, stop, budget = find_first_hit(objects, start, center, radius, True, list_objects(active), budget)
+        if hit < 0.0:
+            break
+        _, point, normal, budget = find_closest_within(objects, hit, stop, budget)
+        if count_constraints(active) == 3:
+            center = stop
+            break
+        active = add_constraint(active, hit, normal)
+        touch = vec3.add_scaled(point, radius, normal)
+        center, active, _, budget = project_until_rest(objects, radius, probe, touch, active, 1, budget)
+    return center, active, budget
 
 
 @jit
