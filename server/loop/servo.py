@@ -180,9 +180,8 @@ def schedule_next(
 
 @entry
 def run_servo_loop(
-    tuning_like: Tuning, start: Memory, ios: tuple[DeviceIO, ...], schedule: Schedule, shared: SharedMemory,
-    scratch: Scratch,
-) -> tuple[int, int, int]:  # fmt: skip
+    like: Tuning, start: Memory, ios: tuple[DeviceIO, ...], schedule: Schedule, shared: SharedMemory, scratch: Scratch
+) -> tuple[int, int, int]:
     """Run ticks until stopped; return the reason for the end, the last status of a device, and the index of its finger.
 
     Ticks and missed deadlines continue from `shared`. In any case, the last write to every device is zero.
@@ -191,7 +190,7 @@ def run_servo_loop(
     samples, records = field_of_each(buffers, "sample"), field_of_each(buffers, "record")
     nominal, version = schedule.period_ns / NS_PER_S, refresh(shared.tuning, -1, scratch.values)
     set_now(scratch.ramp, scratch.values)
-    tuning, memory, fault_times = unpack(tuning_like, scratch.ramp.now), start, NO_FAULT_TIMES
+    tuning, memory, fault_times = unpack(like, scratch.ramp.now), start, NO_FAULT_TIMES
     number, busy, ending, status, finger = load_acquire(shared.progress, 0), 0, STOPPED, 0, 0
     pace = make_first_pace(read_clock_ns(timespec), schedule.period_ns, load_acquire(shared.progress, 1), timespec)
 
