@@ -150,7 +150,7 @@ def settle_for(
         active, remaining = add_touched(objects, radius, center, active, near)
     is_clear, lift, budget = False, 0.0, remaining
     for attempt in range(MAX_OBSTACLES):
-        center, active, _, remaining = project_until_rest(
+        center, active, moved, remaining = project_until_rest(
             objects, radius + lift, probe, center, active, rounds, remaining
         )
         if is_creased and attempt == 0:
@@ -164,6 +164,8 @@ def settle_for(
         if gap > radius * (1.0 - LIFT_DEPTH) and (attempt >= LIFT_AFTER or 4 * remaining < 3 * budget):
             lift = 2.0 * (radius - gap)
         is_new = index != active[0].object_index and index != active[1].object_index and index != active[2].object_index
+        if not (is_new or is_creased) and moved <= SETTLED_STEP * radius:
+            break  # pinched: a further projection would not move it
         if is_new or is_creased:
             _, _, normal, remaining = find_closest_within(objects, index, center, remaining)
             if is_new or (has_creases_at(objects, index) and not is_support_point_of(active, index, normal)):
