@@ -192,7 +192,7 @@ HAZARDS: Final = (
     Hazard(
         "a device that warns", f"the driver, every {monitoring.DEVICE_PERIOD_S:g} s",
         f"{monitoring.DEVICE_PERIOD_S:g} s", "as before", "as described by its message",
-        ("fault device_warning",), ("tests/server/test_supervisor.py::test_each_warning_is_reported_once",),
+        ("fault device_warning",), ("tests/server/test_service_faults.py::test_each_warning_is_reported_once",),
     ),
     Hazard(
         "the end of the workspace", "`[guard.workspace]`", "0 ticks", "a soft wall pushes back", "automatic",
@@ -349,7 +349,7 @@ HAZARDS: Final = (
         "a clock that is set", "none needed: ticks, events and recordings use CLOCK_MONOTONIC", "none", "as before",
         _NONE, (),
         (f"{_PROCESS}::test_a_clock_that_is_set_puts_nothing_out_of_order",
-         "tests/server/test_supervisor.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
+         "tests/server/test_service_faults.py::test_a_clock_that_is_set_back_loses_no_event_and_no_second",),
     ),
     Hazard(
         "two daemons on one device or endpoint", "the device's lock; the bind", "before the start",
@@ -361,7 +361,7 @@ HAZARDS: Final = (
         "memory of the daemon in swap", f"VmSwap, at the start and every {monitoring.SWAP_PERIOD_S:g} s",
         f"{monitoring.SWAP_PERIOD_S:g} s", "as before",
         "end the programs that fill the memory, or let the daemon lock its memory", ("fault swapped",),
-        ("tests/server/test_supervisor.py::test_memory_in_swap_is_reported_once",),
+        ("tests/server/test_service_faults.py::test_memory_in_swap_is_reported_once",),
     ),
     Hazard(
         "a reader of ticks that fails", "the relay thread", "none", "as before, without that reader",
@@ -371,13 +371,13 @@ HAZARDS: Final = (
     Hazard(
         "a service that fails: hot-plugging, metrics, bodies on the wire", "the end of its thread", "none", "as before",
         _START, ("fault hotplug", "fault metrics", "fault world"),
-        ("tests/server/test_supervisor.py::test_a_failed_service_is_reported_and_ends_nothing",),
+        ("tests/server/test_service_faults.py::test_a_failed_service_is_reported_and_ends_nothing",),
     ),
     Hazard(
         "commands that cannot be received", "an error in their thread", "none",
         f"as before; with `heartbeat_s` the run ends, exit code {SafetyStop.exit_code}", _START,
         ("fault commands", FAILED),
-        ("tests/server/test_supervisor.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
+        ("tests/server/test_service_faults.py::test_commands_that_fail_end_a_run_that_needs_heartbeats",),
     ),
 )  # fmt: skip
 """Every hazard that is handled, each injected by a test."""
