@@ -10,24 +10,20 @@ import msgspec
 from softfinger.config import limits
 from softfinger.config.fields import Complaint, Table, doc, is_usable, within
 
-ToolCoordinate = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
-WorkspaceEdge = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
+_Coordinate = Annotated[float, msgspec.Meta(ge=limits.TOOL_M.low, le=limits.TOOL_M.high)]
+_Edge = Annotated[float, msgspec.Meta(ge=limits.WORKSPACE_SIZE_M.low, le=limits.WORKSPACE_SIZE_M.high)]
+HandlePosition = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""Position near the handle or its workspace, m."""
 
 
 class Workspace(Table, frozen=True, kw_only=True):
     """Soft wall in front of the end stops: a sphere by `radius_m`, or a box by `size_m`."""
 
-    center_m: Annotated[
-        tuple[ToolCoordinate, ToolCoordinate, ToolCoordinate], doc("centre, in the device frame", [0.0, 0.0, 0.0])
-    ] = (0.0, 0.0, 0.0)
+    center_m: Annotated[HandlePosition, doc("centre, in the device frame", [0.0, 0.0, 0.0])] = (0.0, 0.0, 0.0)
     radius_m: Annotated[float, within(limits.WORKSPACE_SIZE_M, "radius of the sphere", 0.07)] | None = None
-    size_m: (
-        Annotated[
-            tuple[WorkspaceEdge, WorkspaceEdge, WorkspaceEdge],
-            doc("edges of the box, along x, y and z", [0.1, 0.1, 0.1]),
-        ]
-        | None
-    ) = None
+    size_m: Annotated[tuple[_Edge, _Edge, _Edge], doc("edges of the box, along x, y and z", [0.1, 0.1, 0.1])] | None = (
+        None
+    )
     stiffness_n_per_m: Annotated[float, within(limits.WALL_STIFFNESS_N_PER_M, "stiffness of the wall", 500.0)] = 500.0
     force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force of the wall", 4.0)] = 4.0
 

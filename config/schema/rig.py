@@ -21,7 +21,7 @@ from softfinger.config.fields import (
     within,
 )
 from softfinger.config.schema.addresses import IPC_PATH_MAX, check_endpoint, is_public, make_commands_address
-from softfinger.config.schema.guard import Guard, ToolCoordinate
+from softfinger.config.schema.guard import Guard, HandlePosition
 
 RealtimeMode = Literal["auto", "require", "off"]
 
@@ -29,10 +29,9 @@ RealtimeMode = Literal["auto", "require", "off"]
 class Tool(Table, frozen=True, kw_only=True):
     """Tool mounted on the handle, such as a stylus; its tip is the fingertip."""
 
-    offset_m: Annotated[
-        tuple[ToolCoordinate, ToolCoordinate, ToolCoordinate],
-        doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1]),
-    ] = (0.0, 0.0, 0.0)
+    offset_m: Annotated[HandlePosition, doc("offset from handle to tip, in the handle frame", [0.0, 0.0, -0.1])] = (
+        0.0, 0.0, 0.0,
+    )  # fmt: skip
     orientation_wxyz: Annotated[
         Orientation, doc("tip to handle: quaternion w, x, y, z, normalised on load", [1.0, 0.0, 0.0, 0.0])
     ] = (1.0, 0.0, 0.0, 0.0)

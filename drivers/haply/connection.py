@@ -36,7 +36,6 @@ from softfinger.drivers.haply.messages import (
     read_state,
     shorten,
 )
-from softfinger.drivers.haply.options import DEFAULT_PORT as DEFAULT_PORT
 from softfinger.drivers.haply.options import Filters, Options
 from softfinger.drivers.system import discovery
 

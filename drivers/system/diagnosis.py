@@ -114,9 +114,10 @@ def diagnose_requirements(
             return Diagnosis("library", str(error), library.REMEDY)
     if claim.driver == "haply" and answers is None:
         from softfinger.drivers.haply import connection, link
+        from softfinger.drivers.haply.options import DEFAULT_PORT
 
         try:
-            connection.identify(options.get("port", connection.DEFAULT_PORT), options.get("version"))
+            connection.identify(options.get("port", DEFAULT_PORT), options.get("version"))
         except HapticError as error:
             return Diagnosis("service", str(error), link.START)
     loaded = answers is not None and answers.get("firmware", False)

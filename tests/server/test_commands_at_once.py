@@ -2,6 +2,7 @@
 
 import asyncio
 import ctypes
+import errno
 import os
 import signal
 import time
@@ -256,6 +257,20 @@ def test_a_signal_ends_the_force_while_python_does_nothing(number, monkeypatch, 
             assert eventually(lambda: has_force(device))
             with ThreadPoolExecutor() as pool:  # the signal would end the sleep of the main thread
                 assert pool.submit(measure_zero_share, device, lambda: KILL(os.getpid(), number)).result() > 0.5
+            assert daemon.wait(WAIT_S) and not has_force(device)
+
+
+@pytest.mark.real_time
+def test_a_signal_ends_the_run_in_a_sandbox_that_refuses_splice(monkeypatch, tmp_path):
+    def refuse(*_: object, **__: object) -> int:
+        raise PermissionError(errno.EPERM, "not permitted")
+
+    monkeypatch.setattr(os, "splice", refuse)
+    with running(monkeypatch, tmp_path) as (daemon, device), signals.handle_signals():
+        signals.mark_imported()
+        with signals.stop_on_signal(daemon.stop, daemon.pause, daemon.switch_file):
+            assert eventually(lambda: has_force(device))
+            os.kill(os.getpid(), signal.SIGTERM)
             assert daemon.wait(WAIT_S) and not has_force(device)
 
 

@@ -84,9 +84,10 @@ def check_maker_library(rig: Rig, driver: str) -> Check:
 def check_inverse_service(options: dict[str, Any]) -> Check:
     """Check Haply's service, which owns the devices: query its list, without sending anything to a device."""
     from softfinger.drivers.haply import connection, link
+    from softfinger.drivers.haply.options import DEFAULT_PORT
 
     try:
-        reply = connection.identify(options.get("port", connection.DEFAULT_PORT), options.get("version"))
+        reply = connection.identify(options.get("port", DEFAULT_PORT), options.get("version"))
     except HapticError as error:
         return Check("Inverse Service", "bad", str(error), "running", link.START)
     state: State = "good" if reply["devices"] else "bad"
