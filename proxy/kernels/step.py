@@ -125,9 +125,8 @@ def step_finger(
     """Compute the contact of one finger in the advanced world; `objects` is the result of `place_all`."""
     velocity = filter_velocity(finger, state, pose.position, dt)
     motion = ProbeMotion(Probe(pose.position, pose.orientation, velocity), state.probe, dt)
-    reach = finger.radius + (vec3.norm(vec3.sub(pose.position, state.center)) if state.started != 0.0 else 0.0)
-    nearby = choose_search(objects, pose.position, 2.0 * reach)  # the paths of probe and proxy
-    obstacles = minkowski_objects(finger, nearby, pose.orientation)
+    start = pose.position if state.started == 0.0 else state.center
+    obstacles = choose_search(finger.radius, minkowski_objects(finger, objects, pose.orientation), start, pose.position)
     if isinstance(objects, Many) or isinstance(objects.search, FacetedSearch):
         return step_with_several_objects(scene, finger, obstacles, state, motion)
     return step_with_one_object(scene, finger, obstacles, state, motion)

@@ -186,10 +186,14 @@ def is_near_surface(objects: Many, surface: float, x: Vec3, reach: float) -> boo
 
 
 @jit
-def choose_search(objects: Any, x: Vec3, reach: float) -> Any:
-    """Return the objects with the search of a tick: that of a scene without height maps if none is within `reach` m."""
+def choose_search(radius: float, objects: Any, center: Vec3, probe: Vec3) -> Any:
+    """Return the objects with the search of a tick: as without height maps if the fingertip cannot reach any.
+
+    center  (3,) m  the proxy after the last tick; its path and that of the probe are within twice their distance
+    """
     if isinstance(objects, Many) and isinstance(objects.search, CreasedSearch):
-        is_near = 1.0 if is_near_surface(objects, CREASED, x, reach) else 0.0
+        reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))
+        is_near = 1.0 if is_near_surface(objects, CREASED, probe, reach) else 0.0
         return replace(objects, "search", CreasedSearch(objects.search.meshes, is_near))
     return objects
 
