@@ -33,7 +33,7 @@ MEMORY_MB = 2048
 PARALLEL = ("-accel", "tcg,thread=multi", "-smp", "2")
 COUNTED = ("-accel", "tcg", "-smp", "1", "-icount", "shift=1")
 """One processor, and a clock that counts instructions of 2 ns: time limits of the tests and of the service do not
-depend on the load of this machine. Several times slower on an idle one."""
+depend on the load of this machine. Slower than without it."""
 LIMIT_S = 1500.0
 SILENCE_S = 20.0
 """Time without a line from the guest after which the elapsed time is printed."""
