@@ -13,7 +13,7 @@ import pytest
 from helpers import counted_asks, meshes
 from helpers.hostile_maps import MADE, STIFFNESS, hands, outside_by, part
 from helpers.programs import run_program
-from helpers.touching import SMOOTH, Array, R, engine, make_object, posed, spun, write_part
+from helpers.touching import SMOOTH, Array, R, engine, make_object, posed, spun, wander, write_part
 from references.brute_force import balls_of, brute_distances
 
 from softfinger.proxy.heightmaps import compile_heightmap
@@ -149,3 +149,18 @@ def test_queries_of_a_tick_stay_within_the_budget(tmp_path: Path, cases: Cases) 
         assert 0 < max(lookups) <= bound
         records = engine(*objects, rolling={"method": method}).run(counted_asks.poses_at(points))
         np.testing.assert_allclose(records["proxy.position"], centers, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("seed", "radius"), [(26, 0.005), (5, 0.002)])
+def test_a_map_that_swings_past_the_finger_next_to_a_mesh(tmp_path: Path, seed: int, radius: float) -> None:
+    """Relative to the map, the fingertip touches it on its path, and is out of reach at the end of the tick."""
+    x = 1e-3 * (np.arange(40) - 19.5)
+    axis = np.random.default_rng(seed).normal(size=3).tolist()
+    swing = {"kind": "sinusoid", "axis": axis, "rotation_rad": 1.0, "frequency_hz": 90.0}
+    heights = 5e-3 * np.cos(200.0 * x[:, None]) * np.cos(170.0 * x)
+    hills = part(tmp_path, heights, 1e-3, motion=swing, material=SMOOTH)
+    file = write_part(tmp_path, *meshes.geodesic(3, 0.03))
+    ball = make_object("ball", "mesh", file=file, position_m=[0.0, 0.0, 0.045], material=SMOOTH)
+    points = wander(seed, 120, 0.015, 2e-4) + np.array([0.0, 0.0, 0.012])
+    records = engine(hills, ball, fingertip={"radius_m": radius}, rolling=None).run(posed(points))
+    assert np.isfinite(np.asarray(records)).all() and (records["contact.mode"] > 0).any()

@@ -166,6 +166,26 @@ def test_a_scene_ten_times_as_large(seed, folder):
     check_equal(objects, (force / 10.0, torque / 100.0), run(objects, points, turns))
 
 
+@pytest.mark.sampled(10)
+@pytest.mark.parametrize("kind", ["mesh", "heightmap"])
+@pytest.mark.parametrize("seed", range(100))
+def test_a_mesh_or_height_map_within_reach_that_is_not_touched(seed, kind, folder):
+    """It changes no force: its top is 1.1 radii below the lowest position of the proxy."""
+    objects, points, turns = draw(seed, folder, SYMMETRIC)
+    objects[0]["motion"] = {"kind": "sinusoid", "translation_m": [0.0, 0.0, 1e-3], "frequency_hz": 3.0}
+    alone = record(objects, points, turns)
+    up = points[0] / np.linalg.norm(points[0])
+    lowest = min(alone[:, AT.proxy_position : AT.proxy_position + 3], key=lambda x: x @ up)
+    keys, height = SIZES[kind]
+    where = {"position_m": lowest - (1.1 * R + height) * up, "orientation_wxyz": facing(up)}
+    near = make_object("near", kind, **keys | {"file": str(folder / keys["file"])}, **where)
+    company = record([*objects, near], points, turns)
+    for field in (AT.contacts0_object, AT.contacts1_object, AT.contacts2_object):
+        assert (company[:, field] < len(objects)).all()
+    for field in (AT.force, AT.torque):
+        np.testing.assert_allclose(company[:, field : field + 3], alone[:, field : field + 3], rtol=0, atol=EXACT_N)
+
+
 @pytest.mark.parametrize("seed", range(100))
 def test_a_new_order_of_loads_is_no_jump(seed, folder):
     """The force changes as in the ticks around; torsion that slips in the same tick bends it by less than 1 mN."""

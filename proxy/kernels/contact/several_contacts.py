@@ -27,8 +27,6 @@ from softfinger.proxy.kernels.friction.contact_patch import NO_PATCH
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.model import (
-    CREASED,
-    FACETED,
     NONE,
     ActiveSet,
     Finger,
@@ -43,7 +41,7 @@ from softfinger.proxy.kernels.model import (
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.carry import has_moving_object
-from softfinger.proxy.kernels.query.kinds import find_surface_kind_at, has_creases_near, is_mesh_at
+from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at, is_smooth_at
 from softfinger.proxy.kernels.query.objects import find_closest_within, find_deepest_of_others
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE
@@ -97,8 +95,8 @@ def is_clear_of_others(
 
     The same object twice is one: it does not obstruct the proxy.
     """
-    own_gap, surface = radius, find_surface_kind_at(objects, index)
-    if surface != FACETED and surface != CREASED:  # a touch over the probe may be inside, by the curvature
+    own_gap = radius
+    if is_smooth_at(objects, index):  # a touch over the probe may be inside, by the curvature
         own_gap, _, _, _ = find_closest_within(objects, index, center, budget)
     if start != center or has_moving_object(objects):
         skip = (index, -1.0, -1.0)

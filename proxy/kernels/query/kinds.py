@@ -12,6 +12,7 @@ from softfinger.proxy.kernels.model import (
     CREASED,
     FACETED,
     SMOOTH,
+    ActiveSet,
     AnyShape,
     Bodies,
     CreasedSearch,
@@ -74,6 +75,24 @@ def find_surface_kind_at(objects: Any, index: float) -> float:
     if isinstance(objects.search, SmoothSearch) or index < 0.0:
         return SMOOTH
     return find_surface_kind(find_object(objects, index).shape)
+
+
+@jit
+def is_smooth_at(objects: Any, index: float) -> bool:
+    """Return True if object `index` is neither a triangle of a mesh nor a height map."""
+    surface = find_surface_kind_at(objects, index)
+    return surface != FACETED and surface != CREASED
+
+
+@jit
+def are_all_smooth(objects: Any, active: ActiveSet) -> bool:
+    """Return True if no constraint is a triangle of a mesh or a height map."""
+    one, two, three = active
+    return (
+        is_smooth_at(objects, one.object_index)
+        and is_smooth_at(objects, two.object_index)
+        and is_smooth_at(objects, three.object_index)
+    )
 
 
 @jit

@@ -7,6 +7,7 @@ from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.proxy.kernels.model import CREASED, FACETED, CreasedSearch, Many, Single, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.frames import into, out_of, turn_into, turn_out_of
+from softfinger.proxy.kernels.query.carry import find_carry, move_point
 from softfinger.proxy.kernels.query.container import (
     MAX_ENTRIES,
     extract_facet,
@@ -173,14 +174,8 @@ def is_near_mesh(objects: Any, x: Vec3, reach: float) -> bool:
     """Return True if a mesh may be within `reach` m of `x` (3,) m; a mesh out of reach must not change the result."""
     if isinstance(objects, Single) or isinstance(objects.search, SmoothSearch):
         return has_mesh(objects)
-    return is_near_surface(objects, FACETED, x, reach)
-
-
-@jit
-def is_near_surface(objects: Many, surface: float, x: Vec3, reach: float) -> bool:
-    """Return True if an object with that `surface` of `AnyShape` may be within `reach` m of `x` (3,) m."""
     for row in range(int(objects.size)):
-        if objects.entries[row].shape.surface == surface and not is_beyond(objects, row, x, reach):
+        if objects.entries[row].shape.surface == FACETED and not is_beyond(objects, row, x, reach):
             return True
     return False
 
@@ -189,12 +184,26 @@ def is_near_surface(objects: Many, surface: float, x: Vec3, reach: float) -> boo
 def choose_search(radius: float, objects: Any, center: Vec3, probe: Vec3) -> Any:
     """Return the objects with the search of a tick: as without height maps if the fingertip cannot reach any.
 
-    center  (3,) m  the proxy after the last tick; its path and that of the probe are within twice their distance
+    center  (3,) m  the proxy after the last tick; relative to a moving object its path starts at the point moved along
+
+    The path of the proxy in the tick is within twice its distance from the probe.
     """
     if isinstance(objects, Many) and isinstance(objects.search, CreasedSearch):
         reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))
-        is_near = 1.0 if is_near_surface(objects, CREASED, probe, reach) else 0.0
-        return replace(objects, "search", CreasedSearch(objects.search.meshes, is_near))
+        for row in range(int(objects.size)):
+            if objects.entries[row].shape.surface == CREASED:
+                start = move_point(find_carry(objects, float(row)), center)
+                if not (is_beyond(objects, row, probe, reach) and is_beyond(objects, row, start, reach)):
+                    return objects
+        return remove_creases(objects)
+    return objects
+
+
+@jit
+def remove_creases(objects: Any) -> Any:
+    """Return the objects with a search as in a scene without height maps, which may still stop a fingertip."""
+    if isinstance(objects.search, CreasedSearch):
+        return replace(objects, "search", CreasedSearch(objects.search.meshes, 0.0))
     return objects
 
 

@@ -10,7 +10,7 @@ from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.model import ActiveSet, Constraint, Quaternion, SmoothSearch, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
-from softfinger.proxy.kernels.query.kinds import has_creases_near, is_mesh_at
+from softfinger.proxy.kernels.query.kinds import are_all_smooth, has_creases_near, is_mesh_at
 from softfinger.proxy.kernels.query.objects import find_closest_within
 from softfinger.proxy.kernels.shapes.budget import BUDGET, DEEP_SHARE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.protocol import compute_direction, turn_along
@@ -33,17 +33,6 @@ def move_constraint_over_edge(objects: Any, constraint: Constraint, center: Vec3
 
 
 @jit
-def is_on_mesh(objects: Any, active: ActiveSet) -> bool:
-    """Return True if a constraint is a facet."""
-    one, two, three = active
-    return (
-        is_mesh_at(objects, one.object_index)
-        or is_mesh_at(objects, two.object_index)
-        or is_mesh_at(objects, three.object_index)
-    )
-
-
-@jit
 def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Rest) -> ActiveSet:
     """Return the constraints of a proxy at rest; on meshes, of the facets under it (`move_constraint_over_edge`).
 
@@ -52,7 +41,7 @@ def find_constraints_at_rest(objects: Any, radius: float, probe: Vec3, rest: Res
     they are not: on a rough one, a proxy that is stuck would seem to be at rest, and not be released.
     """
     active, center = rest.active, rest.center
-    if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or not is_on_mesh(objects, active):
+    if isinstance(objects.search, SmoothSearch) or has_creases_near(objects) or are_all_smooth(objects, active):
         return active
     one = move_constraint_over_edge(objects, active[0], center, active)
     two = move_constraint_over_edge(objects, active[1], center, (one, active[1], active[2]))

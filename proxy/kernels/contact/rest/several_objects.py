@@ -33,6 +33,7 @@ from softfinger.proxy.kernels.model import ActiveSet, Constraint, SmoothSearch, 
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.kinds import (
+    are_all_smooth,
     has_creases_at,
     has_creases_near,
     has_slow_query,
@@ -43,6 +44,7 @@ from softfinger.proxy.kernels.query.objects import (
     find_deepest,
     find_neighbour,
     is_near_mesh,
+    remove_creases,
 )
 from softfinger.proxy.kernels.query.sweep import find_first_hit
 from softfinger.proxy.kernels.shapes.budget import BUDGET, INSIDE_TOLERANCE, MAX_STRIDE, SETTLED_STEP
@@ -67,13 +69,24 @@ def settle_among_several(
     Over meshes and height maps, the motion in a tick is so short that the proxy cannot cross a thin part
     (`is_safe_step`). If a probe deep inside requires a longer one, the proxy follows in several ticks: the goal is
     moved closer, so that every step ends at rest. The same applies if no rest position is found.
+
+    A proxy on smooth objects that touches no mesh or height map moves as in a scene without them.
     """
-    if has_creases_near(objects):
-        return settle_in_steps(objects, radius, probe, start, center, active, budget)
+    if isinstance(objects.search, SmoothSearch):
+        return settle_for(objects, radius, probe, start, center, active, budget)
     reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # the path of the proxy
-    if not isinstance(objects.search, SmoothSearch) and is_near_mesh(objects, center, reach):
-        return settle_on_facets(objects, radius, probe, center, active, budget)
-    return settle_for(objects, radius, probe, start, center, active, budget)
+    is_creased = has_creases_near(objects)
+    if not is_creased and not is_near_mesh(objects, center, reach):
+        return settle_for(objects, radius, probe, start, center, active, budget)
+    if are_all_smooth(objects, active):
+        part = budget // 4
+        rest = settle_for(remove_creases(objects), radius, probe, start, center, active, part)
+        if not rest.is_late and is_safe_step(center, rest.center, radius) and are_all_smooth(objects, rest.active):
+            return Rest(rest.center, rest.active, False, budget - part + rest.budget)
+        budget -= part
+    if is_creased:
+        return settle_in_steps(objects, radius, probe, start, center, active, budget)
+    return settle_on_facets(objects, radius, probe, center, active, budget)
 
 
 @jit
