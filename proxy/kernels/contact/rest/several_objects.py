@@ -76,14 +76,14 @@ def settle_among_several(
         return settle_for(objects, radius, probe, start, center, active, budget)
     reach = 2.0 * (radius + vec3.norm(vec3.sub(probe, center)))  # the path of the proxy
     is_creased = has_creases_near(objects)
-    if not is_creased and not is_near_mesh(objects, center, reach):
-        return settle_for(objects, radius, probe, start, center, active, budget)
-    if are_all_smooth(objects, active):
-        part = budget // 4
+    is_rough = is_creased or is_near_mesh(objects, center, reach)
+    if not is_rough or are_all_smooth(objects, active):
+        part = budget // 4 if is_rough else budget
         rest = settle_for(remove_creases(objects), radius, probe, start, center, active, part)
-        if not rest.is_late and is_safe_step(center, rest.center, radius) and are_all_smooth(objects, rest.active):
-            return Rest(rest.center, rest.active, False, budget - part + rest.budget)
         budget -= part
+        is_allowed = not rest.is_late and is_safe_step(center, rest.center, radius)
+        if not is_rough or (is_allowed and are_all_smooth(objects, rest.active)):
+            return Rest(rest.center, rest.active, rest.is_late, budget + rest.budget)
     if is_creased:
         return settle_in_steps(objects, radius, probe, start, center, active, budget)
     return settle_on_facets(objects, radius, probe, center, active, budget)
