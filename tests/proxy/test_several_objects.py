@@ -27,15 +27,6 @@ def straight_path(start, end, ticks):
     return np.linspace(start, end, ticks)
 
 
-def test_corner_of_three_planes():
-    corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
-    goal = (0.008, 0.009, 0.0085)
-    records = visit(corner, np.vstack([straight_path((0.02, 0.02, 0.02), goal, 200), [goal] * 5]))
-    # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
-    np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
-    np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
