@@ -22,13 +22,6 @@ pytestmark = pytest.mark.plain
 R, EXACT = 0.01, 1e-12
 
 
-def test_press() -> None:
-    trace = on_plane(pressed().go(100))
-    assert trace.force[0] == pytest.approx([0, 0, 0], abs=0)
-    assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (101, 1)), abs=EXACT)
-    assert trace.torque == pytest.approx(np.zeros((102, 3)), abs=EXACT) and trace.events == [(1, "touch")]
-
-
 @pytest.mark.parametrize("ticks", [1, 10, 200])
 def test_roll_at_a_fixed_position_winds_the_coupling(ticks: int) -> None:
     """A roll of 0.05 rad moves the proxy by r times as much, and the coupling pulls the probe towards it."""
