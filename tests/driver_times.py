@@ -15,7 +15,7 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,6 +29,7 @@ from softfinger.drivers.base import OK, SAMPLE_SIZE, DeviceIO
 from softfinger.drivers.system.libc import read_fd, write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import OPTIONS
+from softfinger.server.driver_contract import RATE_HZ
 from softfinger.server.loop.clock import read_clock_ns, sleep_until
 from softfinger.tools import measure
 from softfinger.tools.options import add_output_options
@@ -134,7 +135,7 @@ def find_ages(ends: list[End], args: argparse.Namespace) -> dict[str, Any]:
     fresh = np.zeros((whole, count), np.bool_)
     memory = (np.zeros(SAMPLE_SIZE), np.zeros(6), np.zeros(2, np.int64))
     ios = tuple(end.device.io() for end in ends)
-    period_ns = round(1e9 / args.rate)
+    period_ns = round(1e9 / RATE_HZ)
     _measure_age(ios, period_ns, times[:0], places[:0], fresh[:0], memory)  # compiles
     for end in ends:
         end.device.arm()
@@ -171,24 +172,9 @@ def find_quantiles(values: Array) -> dict[str, float]:
     return {name: float(np.quantile(values, q)) for name, q in (("p50", 0.5), ("p99", 0.99), ("most", 1.0))}
 
 
-def cost_lines(costs: dict[str, Any]) -> Iterator[str]:
-    columns = ("driver", "bare", "own", "least", "most")
-    yield f"{'us a tick':15}" + "".join(f"{word:>9}" for word in columns) + f"{'whole ticks':>12}"
-    for name, cost in costs.items():
-        yield f"{name:15}" + "".join(f"{cost[key] * 1e6:9.2f}" for key in columns) + f"{cost['whole']:12.1%}"
-
-
-def age_lines(ages: dict[str, Any]) -> Iterator[str]:
-    columns = ("p50", "p99", "most")
-    yield f"{'age, us':24}" + "".join(f"{word:>9}" for word in columns) + f"{'share':>9}"
-    for name, age in ages.items():
-        for quantity, share in (("pose", "new"), ("force", "arrived")):
-            row = "".join(f"{age[quantity][key] * 1e6:9.0f}" for key in columns)
-            yield f"{name + ', ' + quantity:24}{row}{age[share]:9.1%}"
-
-
 def cost_bars(costs: dict[str, Any]) -> dict[str, float]:
-    return {name: cost["own"] * 1e6 for name, cost in costs.items()}
+    """Return the medians of driver and bare calls, and their difference, us."""
+    return {f"{name}, {key}": cost[key] * 1e6 for name, cost in costs.items() for key in ("driver", "bare", "own")}
 
 
 def age_bars(ages: dict[str, Any]) -> dict[str, float]:
@@ -205,19 +191,18 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     measurements = parser.add_subparsers(dest="measurement", required=True)
     kinds: dict[str, Any] = {
-        "cost": (COST_CASES, find_cost, cost_lines, cost_bars, "driver's own time, us a tick", 100_000),
-        "age": (AGE_CASES, find_ages, age_lines, age_bars, "age, us", 10_000),
+        "cost": (COST_CASES, find_cost, cost_bars, "us a tick", 100_000),
+        "age": (AGE_CASES, find_ages, age_bars, "age, us", 10_000),
     }
     for kind, (cases, *_, ticks) in kinds.items():
         options = measurements.add_parser(kind)
         options.add_argument("--driver", choices=cases, action="append", help="measure this one; any number of times")
         options.add_argument("--ticks", type=int, default=ticks, metavar="N", help="(default: %(default)s)")
         add_output_options(options)
-    options.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="of the loop (default: %(default)s)")
     args = parser.parse_args(words)
-    if args.ticks < 1 or not 1.0 <= vars(args).get("rate", 1.0) <= 1e4:
-        parser.error("--ticks must be 1 or more, --rate 1 to 10000")
-    cases, find, lines, bars, unit, _ = kinds[args.measurement]
+    if args.ticks < 1:
+        parser.error("--ticks must be 1 or more")
+    cases, find, bars, unit, _ = kinds[args.measurement]
     results = {}
     try:
         for name in args.driver or cases:
@@ -229,10 +214,10 @@ def main(words: Sequence[str] | None = None) -> int:
     except HapticError as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    values = bars(results)
+    lines = [f"{name:28}{value:9.2f} {unit}" for name, value in values.items()]
     result = {"ticks": args.ticks, "seconds": results}
-    return measure.show_and_draw(
-        args, result, lines(results), lambda path: measure.draw_bars(path, bars(results), unit)
-    )
+    return measure.show_and_draw(args, result, lines, lambda path: measure.draw_bars(path, values, unit))
 
 
 if __name__ == "__main__":

@@ -28,10 +28,6 @@ def material_of(material: Any) -> Material:
     return scene_of(material).object[0].material
 
 
-def material_refusal(material: Any) -> str:
-    return refusal(scene_of, material)
-
-
 @pytest.mark.parametrize("name", NAMES)
 def test_every_material_is_one_a_scene_may_have(name: str) -> None:
     scene = scene_of({"name": name, "stiffness_n_per_m": 700})
@@ -175,8 +171,8 @@ def test_single_keys_can_be_changed() -> None:
 
 
 def test_a_changed_key_is_checked_like_any_other() -> None:
-    assert "at most static = 0.5" in material_refusal({"name": "wood", "friction": {"kinetic": 0.9}})
-    message = material_refusal({"name": "wood", "stiffness_n_per_m": 2 * limits.STIFFNESS_N_PER_M.high})
+    assert "at most static = 0.5" in refusal(scene_of, {"name": "wood", "friction": {"kinetic": 0.9}})
+    message = refusal(scene_of, {"name": "wood", "stiffness_n_per_m": 2 * limits.STIFFNESS_N_PER_M.high})
     assert "object[0].material.stiffness_n_per_m = 2000000.0" in message
 
 
@@ -198,7 +194,7 @@ def test_a_material_without_a_name_has_only_the_given_values() -> None:
     ],
 )
 def test_an_unknown_material_is_refused(material: Any, reason: str) -> None:
-    assert reason in material_refusal(material)
+    assert reason in refusal(scene_of, material)
 
 
 def test_a_wrong_name_does_not_hide_other_faults() -> None:

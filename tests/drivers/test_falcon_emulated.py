@@ -46,7 +46,7 @@ def test_the_driver_contract() -> None:
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
-    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "stroke", str(records_file))
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", str(records_file))
     _, saw = beside(STROKE, *program, code=0)
     records = np.load(records_file)
     assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
@@ -122,15 +122,6 @@ def test_homing_times_out(tmp_path: Path) -> None:
 
 
 FIRMWARE_BYTES = 7324
-
-
-def test_firmware_is_sent_until_its_echo_is_correct(tmp_path: Path) -> None:
-    path = tmp_path / "firmware.bin"
-    path.write_bytes(random.Random(FIRMWARE_BYTES).randbytes(FIRMWARE_BYTES))
-    rig = rig_with(tmp_path, firmware=str(path))
-    process, saw = run({"firmware": FIRMWARE_BYTES, "spoil": 2}, rig, "--duration", "0.02", code=0)
-    assert saw["runs"] and saw["loads"] == 3
-    assert re.search(r"try 1 of 10: byte 3\d\d\d of 7324 was returned as", process.stderr)
 
 
 @pytest.mark.parametrize(

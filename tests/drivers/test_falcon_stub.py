@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from helpers.c_stub import COMPILER, NO_COMPILER
 from helpers.closed_loop import assert_engine_agrees
-from helpers.usb_stub import FalconBench, UsbStub, options, stub, word
+from helpers.usb_stub import FalconBench, UsbStub, stub, word
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound
 from softfinger.config.load import load_rig, load_scene
 from softfinger.drivers.base import LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.falcon.block import AT as WORDS
-from softfinger.drivers.falcon.device import Falcon, open_device
+from softfinger.drivers.falcon.device import Falcon
 from softfinger.drivers.system.claims import find_claim
 from softfinger.drivers.system.diagnosis import Diagnosis
 from softfinger.drivers.system.discovery import SystemDevice
@@ -114,23 +114,6 @@ def test_faults_leave_no_transfer_pending(fault, status, stub, bench):
             stub[name] = -1
         assert stub["steps"] == steps
     else:
-        assert not any(stub.motors())
-
-
-def test_only_an_armed_device_applies_a_force(stub: UsbStub) -> None:
-    with open_device(options(), RATE_HZ) as device:
-        servo = DeviceCaller(device, arm=False)
-        servo.read()
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
-        assert not any(stub.motors())
-        time.sleep(0.3)
-        device.arm()
-        assert any(servo.read()[0] >= 0 and servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == OK for _ in range(10))
-        assert any(stub.motors())
-        device.stop()
-        device.arm()
-        servo.read()
-        assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
         assert not any(stub.motors())
 
 

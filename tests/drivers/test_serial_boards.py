@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from emulators.bounded import LIMIT_S
 from emulators.hapkit import Hapkit
 from emulators.haply2diy import Firmware, Port, place
 from emulators.slowline import SlowLine
 from helpers.c_stub import compiled
 from helpers.described_boards import REST, TO_WORLD, force_of, lower, opened, settled
 from helpers.far_ends import sketch_library
-from helpers.programs import Program
+from helpers.programs import LIMIT_S, Program
 from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import ends_within, fresh, until
 

@@ -1,11 +1,7 @@
-"""Serial devices: blocked port, opening, calls of the system; test_contract_at_far_ends has the contract.
-
-The port is a pseudo terminal: the system's code of terminals, with an emulated board.
-"""
+"""Serial devices on a pseudo terminal: opening, calls of the system; test_contract_at_far_ends has the contract."""
 
 import os
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -15,42 +11,11 @@ from helpers.waits import fresh
 
 from softfinger.config.errors import DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import HELD, OK, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.base import OK, STALE
 from softfinger.drivers.board_exchange import BOARD
-from softfinger.drivers.serial.device import SerialDevice
 from softfinger.server.driver_contract import DeviceCaller
 
 pytestmark = pytest.mark.real_time
-
-
-def fill(device: SerialDevice) -> int:
-    took = full = 0
-    while full < 10:
-        try:
-            took += os.write(int(device._block.word[BOARD.fd]), b"\n" * 7)
-            full = 0
-        except BlockingIOError:
-            full += 1
-            time.sleep(0.002)
-    return took
-
-
-def test_a_blocked_port_does_not_block_the_loop() -> None:
-    with Cable(Board(lambda _: PLACE)) as cable:
-        device = opened(cable)
-        servo = DeviceCaller(device)
-        fresh(servo)
-        cable.hear(False)
-        assert fill(device) > 1000
-        forces = len(cable.board.sent)
-        while (status := servo.read()[0]) >= 0:
-            assert servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) in (HELD, WITHHELD)
-            time.sleep(0.002)
-        assert status == TIMEOUT
-        device.close()
-        cable.hear(True)
-        time.sleep(0.05)
-        assert all(not any(words[:3]) for words in cable.board.sent[forces:])
 
 
 def test_an_empty_port_is_not_read() -> None:

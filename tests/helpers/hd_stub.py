@@ -29,10 +29,6 @@ class HdStub(CStub):
         super().__init__(path)
         self._library.stub_journal.restype = ctypes.c_void_p
 
-    def reset_hand(self) -> None:
-        """Move the handles to the start of the hands' paths."""
-        self._library.stub_reset_hand()
-
     def push(self, code: int, device: int = -1, many: int = 1) -> None:
         """Push an error onto the stack, of one device or of none."""
         self._library.stub_push(code, device, many)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from softfinger.config.schema import Scene
     from softfinger.server.app import Daemon
     from softfinger.server.remote import Client
+    from softfinger.server.viewer.live import LivePage
 
 
 LOCAL = {"telemetry.endpoint": "tcp://127.0.0.1:*", "commands.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
@@ -32,6 +33,13 @@ def is_served(address: str) -> bool:
     with suppress(URLError), urlopen(address, timeout=60.0) as answer:
         return bool(answer.status == 200)
     return False
+
+
+def step_until(live: LivePage, condition: Callable[[], Any]) -> bool:
+    """Step a page, which no thread steps, until a condition is true; return False if it is not in time."""
+    from helpers.waits import eventually
+
+    return bool(eventually(lambda: condition() or live.step(0.05), every_s=0.01))
 
 
 def daemon_of(rig: str, scene: str) -> Callable[[], Iterator[Daemon]]:

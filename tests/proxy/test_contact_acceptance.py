@@ -22,13 +22,6 @@ pytestmark = pytest.mark.plain
 R, EXACT = 0.01, 1e-12
 
 
-def test_press() -> None:
-    trace = on_plane(pressed().go(100))
-    assert trace.force[0] == pytest.approx([0, 0, 0], abs=0)
-    assert trace.force[1:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (101, 1)), abs=EXACT)
-    assert trace.torque == pytest.approx(np.zeros((102, 3)), abs=EXACT) and trace.events == [(1, "touch")]
-
-
 @pytest.mark.parametrize("ticks", [1, 10, 200])
 def test_roll_at_a_fixed_position_winds_the_coupling(ticks: int) -> None:
     """A roll of 0.05 rad moves the proxy by r times as much, and the coupling pulls the probe towards it."""
@@ -126,17 +119,6 @@ def test_tiny_counter_tilt_does_not_disable_sliding() -> None:
         trace = on_plane(pressed().go(1, turn=tilt).go(497, move=[0.025, 0, 0]))
         assert trace.causes == ["touch", "drag"] and trace.tangential.max() == pytest.approx(0.6, rel=EXACT)
         assert trace.tangential[-1] == pytest.approx(0.5, rel=EXACT)
-
-
-def test_slip_and_spin_share_the_limit_surface() -> None:
-    """Slip at 20 mm/s and spin at 5 rad/s share one limit: 0.223607 N and -0.00357771 N m."""
-    hand = pressed().go(400, move=[0.4 * 0.02, 0, 0], turn=[0, 0, 0.4 * 5.0])
-    trace = on_plane(hand, material={"torsion": {"model": "limit_surface"}})
-    assert trace.causes == ["touch", "drag"]
-    # (F v, tau_max omega) = (0.5 * 0.02, 0.004 * 5) = (0.01, 0.02): shares of 1 and 2 in sqrt(5).
-    assert trace.tangential[-1] == pytest.approx(0.5 / np.sqrt(5), abs=1e-9)
-    assert trace.torque[-1, 2] == pytest.approx(-0.004 * 2 / np.sqrt(5), abs=1e-11)
-    assert (round(trace.tangential[-1], 6), round(trace.torque[-1, 2], 8)) == (0.223607, -0.00357771)
 
 
 @pytest.mark.parametrize("time_constant", [0.0, 0.002])

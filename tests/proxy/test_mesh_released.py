@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from helpers import hostile_meshes, meshes
 from helpers.examples import Cases
-from helpers.thin_meshes import KINDS
+from helpers.hostile_meshes import bar
 from helpers.touching import SLIPPERY, Array, engine, make_object, posed, write_part
+from numpy.typing import ArrayLike
 from references.brute_force import balls_of, brute_distances
 from scipy.optimize import nnls
 
 from softfinger.proxy.kernels.contact.first_pose import OVERLAP_TOLERANCE
 from softfinger.proxy.record import AT, CAUSE_RESTART, FREE, ON_ITS_WAY
+from softfinger.tools.accuracy.meshes import triangulate_grid
 
 pytestmark = pytest.mark.scaled
 STEP = 1e-4
@@ -26,6 +28,67 @@ STIFF = {"stiffness_n_per_m": 1000.0}
 UNEXPLAINED = 0.02
 """Share of a direction: contacts within 1e-4 r may differ by as much around a corner; a blocked proxy leaves some
 tenths."""
+
+
+def turned_about_z(profile: ArrayLike, around: int) -> meshes.Mesh:
+    """Rotate a closed profile (n, 2) of r and z, m, about the z axis in this number of steps."""
+    angle = 2.0 * np.pi * np.arange(around) / around
+    rings = [np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(around, z)]) for r, z in np.array(profile)]
+    vertices, triangles = triangulate_grid(np.array(rings), rows_meet=True, columns_meet=True)
+    return meshes.made((vertices, triangles[:, ::-1]))
+
+
+def thread(turns: int = 5, around: int = 48) -> meshes.Mesh:
+    """A screw of 40 mm without a head: a ridge of 3 mm on a core of 10 mm radius."""
+    rows = 12 * turns + 1
+    z = np.linspace(-0.02, 0.02, rows)
+    angle = 2.0 * np.pi * np.arange(around) / around
+    phase = (z[:, None] * turns / 0.04 - angle / (2.0 * np.pi)) % 1.0
+    r = 0.01 + 0.003 * np.abs(2.0 * phase - 1.0)
+    side = np.stack([r * np.cos(angle), r * np.sin(angle), np.broadcast_to(z[:, None], r.shape)], axis=2)
+    vertices, sides = triangulate_grid(side, columns_meet=True)
+    triangles = sides[:, ::-1].tolist()
+    low, high = rows * around, rows * around + 1
+    for k in range(around):
+        m = (k + 1) % around
+        triangles += [(low, m, k), (high, (rows - 1) * around + k, (rows - 1) * around + m)]
+    return meshes.made((np.vstack([vertices, [(0.0, 0.0, -0.02), (0.0, 0.0, 0.02)]]), np.array(triangles)))
+
+
+def lattice() -> meshes.Mesh:
+    """Three times three bars along each axis that intersect, 1 mm wide."""
+    half, thin, bars = 0.0225, 0.0005, []
+    for a in (-0.015, 0.0, 0.015):
+        for b in (-0.015, 0.0, 0.015):
+            bars.append(meshes.moved(bar(half, thin, thin), (0.0, a, b)))
+            bars.append(meshes.moved(bar(thin, half, thin), (a, 0.0, b)))
+            bars.append(meshes.moved(bar(thin, thin, half), (a, b, 0.0)))
+    return meshes.joined(*bars)
+
+
+def needles() -> meshes.Mesh:
+    """Nine needles of 30 mm and 0.8 mm radius."""
+    rng = np.random.default_rng(3)
+    angle = 2.0 * np.pi * np.arange(8) / 8
+    ring = np.column_stack([0.0008 * np.cos(angle), 0.0008 * np.sin(angle), np.full(8, -0.015)])
+    corners = np.vstack([ring, [(0.0, 0.0, 0.015), (0.0, 0.0, -0.015)]])
+    faces = [face for k in range(8) for face in ((k, (k + 1) % 8, 8), ((k + 1) % 8, k, 9))]
+    needle = meshes.Mesh(corners, np.array(faces, np.int32))
+    return meshes.joined(*(meshes.moved(needle, (x, y, 0.0)) for x, y in rng.uniform(-0.02, 0.02, (9, 2)).tolist()))
+
+
+KINDS = {
+    "tube": turned_about_z([(0.03, -0.025), (0.03, 0.025), (0.0295, 0.025), (0.0295, -0.025)], 32),
+    "cup": turned_about_z(
+        [(1e-5, -0.025), (0.03, -0.025), (0.03, 0.025), (0.0295, 0.025), (0.0295, -0.0245), (1e-5, -0.0245)], 48
+    ),
+    "thread": thread(),
+    "lattice": lattice(),
+    "needles": needles(),
+    "bumpy": meshes.bumpy_sphere(24, 0.03, 0.05, 20.0),
+}
+"""Thin walls, threads, bars, needles: a proxy once got stuck on each. The hole in the cup's floor is narrower than any
+fingertip."""
 
 
 def feet(corners: Array, x: Array) -> Array:

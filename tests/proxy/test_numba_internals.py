@@ -54,8 +54,9 @@ def test_kernels_that_allocate_do_not_compile() -> None:
     def allocates(n: int) -> float:
         return float(np.zeros(n)[0])
 
-    with pytest.raises(numba.TypingError):
-        numba.njit(**decorators.OPTIONS)(allocates)(3)
+    for compiled in (numba.njit(**decorators.OPTIONS)(allocates), decorators.jit(allocates)):
+        with pytest.raises(numba.TypingError):
+            compiled(3)
     assert numba.njit(allocates)(3) == 0.0  # default of numba
 
 

@@ -23,19 +23,6 @@ def make_object(name, shape, position=(0.0, 0.0, 0.0), **keys):
     return {"name": name, "shape": shape, "position_m": list(position), "material": SLICK, **keys}
 
 
-def straight_path(start, end, ticks):
-    return np.linspace(start, end, ticks)
-
-
-def test_corner_of_three_planes():
-    corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), wall("back", (0, 1, 0)))
-    goal = (0.008, 0.009, 0.0085)
-    records = visit(corner, np.vstack([straight_path((0.02, 0.02, 0.02), goal, 200), [goal] * 5]))
-    # A quaternion turns the planes' normals from +z: rounding of some 1e-16 times metres.
-    np.testing.assert_allclose(records["proxy.position"][-1], [R, R, R], atol=1e-15)
-    np.testing.assert_allclose(records["force"][-1], [2.0, 1.0, 1.5], atol=1e-10)
-
-
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("angle", [30.0, 60.0, 90.0, 120.0, 150.0])
 def test_groove_is_the_nearest_point_to_the_probe(angle):
@@ -44,7 +31,7 @@ def test_groove_is_the_nearest_point_to_the_probe(angle):
     n1, n2 = np.array([np.cos(half), 0.0, np.sin(half)]), np.array([-np.cos(half), 0.0, np.sin(half)])
     groove = engine(wall("one", n1), wall("two", n2))
     height = R / np.sin(half)  # centre of the sphere that touches both
-    records = visit(groove, straight_path((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
+    records = visit(groove, np.linspace((0.0005, 0.0, height + 0.005), (0.0005, 0.003, height - 0.002), 400))
     final = np.array([0.0005, 0.003, height - 0.002])
     inside = [R - n @ final for n in (n1, n2)]
     assert min(inside) > 0.0
@@ -55,7 +42,7 @@ def test_the_first_of_two_walls_changes_only_where_another_bears_clearly_more():
     """A difference of 1 nm in depth causes no switch, twice the load does, and equal depths do not switch back."""
     floor, left_wall = 0, 1
     corner = engine(wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)))
-    begin = straight_path((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
+    begin = np.linspace((0.02, 0.0, R - 0.001), (R - 0.0005, 0.0, R - 0.001), 100)
     alike = [(R - 0.001 + sign * 1e-9, 0.0, R - 0.001) for sign in (-1.0, 1.0)] * 10
     more = [(R - 0.002, 0.0, R - 0.001)]
     records = visit(corner, np.vstack([begin, alike, more, alike]))
@@ -69,7 +56,7 @@ def test_sphere_rests_between_three_spheres():
     balls = [make_object(f"ball {i}", "sphere", p.tolist(), radius_m=0.01) for i, p in enumerate(corners)]
     height = np.sqrt(0.02**2 - 0.012**2)
     target = (0.0003, 0.0002, height - 0.001)
-    records = visit(engine(*balls), np.vstack([straight_path((0.0, 0.0, 0.03), target, 300), [target] * 20]))
+    records = visit(engine(*balls), np.vstack([np.linspace((0.0, 0.0, 0.03), target, 300), [target] * 20]))
     at = records["proxy.position"][-1]
     np.testing.assert_allclose([np.linalg.norm(at - p) for p in corners], 0.02, atol=1e-12)
     np.testing.assert_allclose(at, [0.0, 0.0, height], atol=1e-12)
@@ -108,7 +95,7 @@ def test_inside_of_a_box_is_a_corner_too():
     """In the corner of a hollow box, three walls push with K times their depths."""
     room = engine(make_object("room", "box", size_m=[0.1, 0.1, 0.1], inside=True))
     goal = (0.042, 0.043, -0.044)
-    records = visit(room, np.vstack([straight_path((0.0, 0.0, 0.0), goal, 300), [goal] * 3]))
+    records = visit(room, np.vstack([np.linspace((0.0, 0.0, 0.0), goal, 300), [goal] * 3]))
     np.testing.assert_allclose(records["proxy.position"][-1], [0.04, 0.04, -0.04], atol=1e-12)
     np.testing.assert_allclose(records["force"][-1], [-2.0, -3.0, 4.0], atol=1e-9)
     assert records[-1, AT.contact_object] == 0
@@ -130,7 +117,7 @@ def test_proxy_never_oscillates_at_rest(cases):
     clutter = [wall("floor", (0, 0, 1)), wall("left", (1, 0, 0)), ball]
     for _ in range(cases(4, 20)):
         target = rng.uniform([-0.003, -0.01, -0.003], [0.02, 0.02, 0.012])
-        records = visit(engine(*clutter), np.vstack([straight_path((0.05, 0.0, 0.05), target, 100), [target] * 60]))
+        records = visit(engine(*clutter), np.vstack([np.linspace((0.05, 0.0, 0.05), target, 100), [target] * 60]))
         moved = np.linalg.norm(np.diff(records["proxy.position"][-50:], axis=0), axis=1)
         # Each step is at most as long as the one before, to rounding; near a medial axis convergence takes longer.
         assert (moved[1:] <= moved[:-1] + 1e-15).all(), target

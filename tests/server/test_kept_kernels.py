@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from helpers.compiled_code import called_in, functions
 from helpers.processes import COMMAND
@@ -105,16 +104,3 @@ def test_compiler_and_warmup_cache_all_kernels(fresh_loop: tuple[str, Path, str]
     brief = ["--duration", "0.2", "--realtime", "off", "--endpoint", "tcp://127.0.0.1:*", "--commands", "off"]
     run_program([*COMMAND, "run", "--scene", scene, *brief], env=environment, check=True)
     assert list_kernels(cache) == after
-
-
-def test_allocating_kernel_does_not_compile() -> None:
-    import numba
-
-    from softfinger.proxy.kernels.jit.decorators import jit
-
-    @jit
-    def allocates(n: int) -> float:
-        return np.zeros(n)[0]
-
-    with pytest.raises(numba.TypingError):
-        allocates(3)

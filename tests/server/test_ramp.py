@@ -24,10 +24,6 @@ def make_scene(**changes):
     return load_scene("paper-plane", {f"{MATERIAL}.{key}": value for key, value in changes.items()})
 
 
-def start_ramp(tree, ticks=TICKS):
-    return parameter_ramp.make_ramp(tree, ticks)
-
-
 def advance(ramp_state, tree, ticks):
     for _ in range(ticks):
         if ramp_state.ticks_left[0] > 0:
@@ -39,7 +35,7 @@ def advance(ramp_state, tree, ticks):
 def test_all_values_that_affect_the_force_are_ramped_together():
     old = build_scene(make_scene())
     new = build_scene(make_scene(**{"stiffness_n_per_m": 500.0, "friction.static": 0.2, "friction.kinetic": 0.1}))
-    ramp_state = start_ramp(old)
+    ramp_state = parameter_ramp.make_ramp(old, TICKS)
     parameter_ramp.set_target(ramp_state, flatten(new))
     half = advance(ramp_state, old, TICKS // 2)
     np.testing.assert_allclose(flatten(half), 0.5 * (flatten(old) + flatten(new)), rtol=1e-12)  # fifty additions
@@ -53,7 +49,7 @@ def test_positions_and_limits_change_immediately():
     guard = load_rig("replay").guard
     old = make_tuning(make_scene(), guard)
     softer = old._replace(scene=build_scene(make_scene(stiffness_n_per_m=500.0)))
-    ramp_state = start_ramp(old)
+    ramp_state = parameter_ramp.make_ramp(old, TICKS)
     parameter_ramp.set_target(ramp_state, flatten(softer))
     assert advance(ramp_state, old, 60).scene.objects.body.material.normal.stiffness == pytest.approx(700.0, rel=1e-12)
     table = softer.scene.objects.body
@@ -70,7 +66,7 @@ def test_positions_and_limits_change_immediately():
 def test_an_array_changes_immediately():
     """Laws of other packages refer to arrays by address, which cannot be interpolated."""
     old, new = (model.Object(None, None, None, model.Material(ReadOnly([k]), None, None), 0.0) for k in (1.0, 2.0))
-    ramp_state = start_ramp(old)
+    ramp_state = parameter_ramp.make_ramp(old, TICKS)
     parameter_ramp.set_target(ramp_state, flatten(new))
     parameter_ramp.advance(ramp_state)
     assert ramp_state.now.tobytes() == flatten(new).tobytes()
@@ -83,7 +79,7 @@ def test_a_power_law_ramps_its_force_linearly_at_every_depth():
         for k, d, p in ((1000.0, DEPTH_M, 1.5), (1000.0, DEPTH_M, 2.5))
     ]
     old, new = (model.Object(None, None, None, material, 0.0) for material in ends)
-    ramp_state = start_ramp(old)
+    ramp_state = parameter_ramp.make_ramp(old, TICKS)
     parameter_ramp.set_target(ramp_state, flatten(new))
     for _ in range(TICKS):
         law = advance(ramp_state, old, 1).material.normal
@@ -105,7 +101,7 @@ def test_many_objects_are_ramped():
         return build_scene(build(Scene, {"fingertip": {"radius_m": 0.01}, "object": tables}, "here"))
 
     old, new = tiles(1000.0), tiles(500.0)
-    ramp_state = start_ramp(old)
+    ramp_state = parameter_ramp.make_ramp(old, TICKS)
     parameter_ramp.set_now(ramp_state, parameter_ramp.flatten_tuning(old))
     parameter_ramp.set_target(ramp_state, parameter_ramp.flatten_tuning(new))
     for ticks, expected in ((TICKS // 2, 750.0), (TICKS // 2, 500.0)):
@@ -120,6 +116,6 @@ def test_many_objects_are_ramped():
 @pytest.mark.plain
 def test_a_ramp_without_ticks_is_immediate():
     old, new = (build_scene(make_scene(stiffness_n_per_m=k)) for k in (1000.0, 500.0))
-    ramp_state = start_ramp(old, 0)
+    ramp_state = parameter_ramp.make_ramp(old, 0)
     parameter_ramp.set_target(ramp_state, flatten(new))
     assert advance(ramp_state, old, 1) == new

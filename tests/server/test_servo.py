@@ -46,24 +46,6 @@ def finish(servo: s.ServoThread) -> tuple[s.LoopEnd, np.ndarray]:
     return ended, records
 
 
-@pytest.mark.parametrize(
-    ("fault", "ending", "status"),
-    [
-        ("none", s.FINISHED, 0),
-        ("lost", shutdown.READ_FAILED, -1),
-        ("timeout", shutdown.READ_FAILED, -2),
-        ("protocol", shutdown.READ_FAILED, -3),
-        ("write_lost", shutdown.WRITE_FAILED, -1),
-    ],
-)
-def test_every_end_of_the_loop_writes_zero(fault, ending, status):
-    device, servo = make_servo(Options(fault=fault, at=300), 400)
-    ended, _ = finish(servo)
-    assert (ended.ending, ended.status, ended.error) == (ending, status, None)
-    wrenches = device.wrenches
-    assert np.abs(wrenches[-10:-2]).max() > 0.1 and not wrenches[-1].any()
-
-
 def test_exception_in_the_servo_thread_zeroes_the_device():
     def prepare():
         raise RuntimeError("refused")

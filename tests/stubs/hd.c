@@ -195,7 +195,6 @@ void stub_reset(void)
         goal(d, 0, device[d].position);
     }
 }
-void stub_reset_hand(void) { for (int d = 0; d < DEVICES; d++) goal(d, 0, device[d].position); }
 void stub_force(int d, double out[6])
 {
     for (int i = 0; i < 3; i++) {

@@ -38,4 +38,5 @@ def test_bars_of_known_times() -> None:
     ages = {"haply": {"pose": {"p50": 1e-3, "p99": 2e-3}, "force": {"p50": 3e-3, "p99": 4e-3}}}
     wanted = {"haply, pose, p50": 1e3, "haply, pose, p99": 2e3, "haply, force, p50": 3e3, "haply, force, p99": 4e3}
     assert driver_times.age_bars(ages) == pytest.approx(wanted, rel=1e-12)  # rounding
-    assert driver_times.cost_bars({"hid": {"own": 2e-7}}) == pytest.approx({"hid": 0.2}, rel=1e-12)
+    costs = driver_times.cost_bars({"hid": {"driver": 5e-7, "bare": 3e-7, "own": 2e-7}})
+    assert costs == pytest.approx({"hid, driver": 0.5, "hid, bare": 0.3, "hid, own": 0.2}, rel=1e-12)

@@ -24,7 +24,7 @@ SCRIPT = Path(__file__).parents[1] / "mesh_truth.py"
 @pytest.mark.exhaustive
 def test_a_ball_is_true(tmp_path: Path) -> None:
     """Distances to 1e-9 of its size, and a proxy that is never inside; exit code 0."""
-    words = ["ball", "--points", "300", "--ticks", "1000", "--json"]
+    words = ["ball", "--points", "300", "--ticks", "1000"]
     result = json.loads(run_program((sys.executable, str(SCRIPT), *words), check=True).stdout)["ball"]
     assert result["distances"]["points"] == 300 and result["distances"]["error"] < 1e-9
     assert result["hand"]["touching"] > 100 and result["hand"]["inside"] == result["hand"]["through"] == 0

@@ -28,8 +28,7 @@ import viser
 from helpers.browser import browser, eventually, shown, why_none
 from helpers.called import called
 from helpers.fuzzing import mutated
-from helpers.live_pages import step_until
-from helpers.pages import CAMERA, is_served
+from helpers.pages import CAMERA, is_served, step_until
 from helpers.processes import COMMAND, find_child, has_exited, read_memory
 from helpers.programs import Program
 from helpers.waits import ends_within

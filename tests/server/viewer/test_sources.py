@@ -15,8 +15,7 @@ import zmq
 from conftest import paper_mapping
 from helpers import meshes
 from helpers.called import read_stdout
-from helpers.live_pages import step_until
-from helpers.pages import running
+from helpers.pages import running, step_until
 from helpers.pressed import pressed_scene
 from helpers.programs import run_program
 from helpers.recorded import EPOCH_S, about, event, run
