@@ -167,7 +167,8 @@ class ForceDimension(BlockDevice):
         word[AT.open] = 1
         word[AT.started_at] = time.monotonic_ns()
         word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
-        word[AT.has_gripper] = call.dhdHasGripper(self._id)
+        # CHAI3D and cisst: the angle of a left-handed gripper is negative
+        word[AT.gripper_sign] = call.dhdHasGripper(self._id) * (-1 if call.dhdIsLeftHanded(self._id) else 1)
         word[AT.has_torque] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
         self._block.set_functions(call)
         if not self._model.name:

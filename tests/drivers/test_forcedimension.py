@@ -370,6 +370,13 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: OmegaBe
                 assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_an_open_gripper_has_a_positive_angle(left: int, stub: Stub, bench: OmegaBench) -> None:
+    stub.update(**SIGMA_7, left=left, gripper_rad=0.4)
+    with bench.open() as device:
+        assert DeviceCaller(device).read()[1][9] == 0.4
+
+
 @pytest.mark.scaled
 def test_readings_of_garbage(stub: Stub, bench: OmegaBench, cases: Callable[[int, int], int]) -> None:
     with bench.open(status_period_s=1.0) as device:
