@@ -210,9 +210,13 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
         device = leader.open_device(arm_options(arm, urdf), RATE_HZ)
         servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
-        device._bus._transact = lambda *_: time.sleep(0.01) or {}
+        transact, device._bus._transact = device._bus._transact, lambda *_: time.sleep(0.01) or {1: b"", 2: b"", 3: b""}
         until(lambda: force_x(arm) == 0.0)
+        device._bus._transact = transact  # the program continues, but the servo now refuses every goal
         device.close()
+        assert not device.zero_failure() and not arm.servos[IDS["pitch"]].memory[DYNAMIXEL.enable]
+        with leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
+            pushed(DeviceCaller(device), arm, 0.5)
 
 
 def test_the_rig_of_an_so101_is_complete() -> None:

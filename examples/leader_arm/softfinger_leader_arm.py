@@ -16,6 +16,7 @@ import os
 import termios
 import threading
 import time
+from contextlib import suppress
 from typing import Annotated, Any, Final, Literal, NamedTuple
 from xml.etree import ElementTree
 
@@ -249,10 +250,10 @@ class LeaderArm(Device):
                     f"servo {servo} is in mode {mode}, and follows forces in mode {bus.force_mode} only: set register "
                     f"{bus.mode.address} with the maker's program, which stores it for good"
                 )
-            bus.write(bus.force, servo, 0)
             if bus.watchdog is not None:
-                bus.write(bus.watchdog, servo, 0)  # clears one that has run out
+                bus.write(bus.watchdog, servo, 0)  # a servo with an expired one refuses forces
                 bus.write(bus.watchdog, servo, WATCHDOG_UNITS)
+            bus.write(bus.force, servo, 0)
             bus.write(bus.enable, servo, 1)
         except BusError as error:
             raise DeviceTimeout(
@@ -309,7 +310,8 @@ class LeaderArm(Device):
         failure = ""
         for _ in range(LAST_ZEROS):
             try:
-                self._bus.write(self._bus.force, self._servo_of[joint], 0)
+                with suppress(BusError):  # an expired watchdog; a motor that is off exerts no force
+                    self._bus.write(self._bus.force, self._servo_of[joint], 0)
                 self._bus.write(self._bus.enable, self._servo_of[joint], 0)
                 word[AT.stops_answered] = word[AT.stops_requested]
                 return
