@@ -412,7 +412,7 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
 
 
 def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    start, interval = threading.Thread.start, sys.getswitchinterval()
+    start, interval, files = threading.Thread.start, sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
 
     def refuse(thread: threading.Thread) -> None:
         if thread.name == "haply exchange":
@@ -422,7 +422,7 @@ def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: py
     monkeypatch.setattr(threading.Thread, "start", refuse)
     with pytest.raises(RuntimeError):
         opened(service)
-    assert sys.getswitchinterval() == interval
+    assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files
     monkeypatch.undo()
     opened(service).close()
 
