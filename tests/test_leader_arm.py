@@ -172,6 +172,9 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
 
             until(has_no_force)
         assert [arm.servos[number].memory[arm.table.enable] for number in IDS.values()] == [0, 1, 0]
+        device.stop()
+        device.arm()
+        assert servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
 @pytest.mark.parametrize("protocol", SERIES)

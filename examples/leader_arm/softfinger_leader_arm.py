@@ -177,7 +177,7 @@ class LeaderArm(Device):
     def arm(self) -> None:
         word = self._block.word
         before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
-        while word[AT.states] == before:
+        while word[AT.states] == before and not word[AT.stopped]:
             if word[AT.failed] < 0:
                 raise DeviceLost(f"{self.info.name}: {self.failure}")
             if time.monotonic() > until:
@@ -188,6 +188,7 @@ class LeaderArm(Device):
 
     def stop(self) -> None:
         word = self._block.word
+        word[AT.stopped] = 1  # first, because a concurrent `arm` may set `armed` again
         word[AT.armed] = 0
         if self._options.force_joint is None or word[AT.wake] < 0:
             return
@@ -326,7 +327,8 @@ class LeaderArm(Device):
         if sequence != self._sequence:
             self._sequence, self._wrench[:] = sequence, self._copy
         force, number, stops = self._wrench[:3], int(self._wrench[WRENCH_NUMBER]), int(word[AT.stops_requested])
-        is_old = not word[AT.armed] or time.monotonic_ns() - self._wrench[WRITE_TIME] > word[AT.stale]
+        is_armed = word[AT.armed] and not word[AT.stopped]
+        is_old = not is_armed or time.monotonic_ns() - self._wrench[WRITE_TIME] > word[AT.stale]
         if force.any() and is_old:
             self._wrench[:3] = 0.0
             word[AT.dropped] += 1
