@@ -178,4 +178,6 @@ def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     link = open_link(options)
-    return HidDevice(options, link.fd, link.threads, link.node)
+    device = HidDevice(options, link.fd, link.threads, link.node)
+    exchange.write.ctypes(device.io().handle, (ctypes.c_double * 6)())  # a killed program may have left a force
+    return device

@@ -63,6 +63,7 @@ class SerialDevice(BlockDevice):
         with contextlib.suppress(OSError):
             count_unsent(fd)
             self._block.word[AT.counts_unsent] = 1
+        self._block.word[BOARD.has_force] = 1  # a killed program may have left one, so waking sends a zero
         try:
             self._wake(self._setup)
         except BaseException:

@@ -26,7 +26,7 @@ from softfinger.config.load import build
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import make_thread_link
+from softfinger.drivers.hid.link import ReportLink, make_thread_link
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
@@ -73,6 +73,13 @@ def test_a_board_that_sends_continuously() -> None:
         force = arm.arm.force(arm.place, tuple(i / 1e3 for i in arm.milliamperes))
         np.testing.assert_allclose(force, (0.0, 0.0, 1.0), atol=0.012)
         assert device.counts()["reports"] > 30
+
+
+def test_opening_ends_the_force_of_a_killed_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    fd, end = ends()
+    monkeypatch.setattr("softfinger.drivers.hid.device.open_link", lambda _: ReportLink(fd))
+    with end, open_device(rig_options("woodenhaptics-2019", calibrate=False), 1000.0):
+        assert end.recv(100, socket.MSG_DONTWAIT) == bytes(65)
 
 
 def test_minutes_between_opening_and_the_first_tick() -> None:
