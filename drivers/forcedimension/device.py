@@ -31,6 +31,7 @@ log: Final = logging.getLogger(__name__)
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
+NO_ANSWER: Final = "the library has not answered"
 LOCK_WAIT_S: Final = 0.1
 """Maximum wait of `stop` for a running exchange; a slower one hangs, and the device is stopped in parallel to it."""
 
@@ -78,12 +79,12 @@ class ForceDimension(BlockDevice):
             exchange.unlock.ctypes(block)
 
     def stop(self) -> None:
-        if self._word[AT.stopped]:
+        if self._word[AT.stopped] and self._zero_failure in ("", NO_ANSWER):  # done, or in progress
             return
         self._word[AT.stopped] = 1  # before the lock: the loop sends no force after the zero
         self._word[AT.armed] = 0
         if self._word[AT.open]:
-            self._zero_failure = "the library has not answered"
+            self._zero_failure = NO_ANSWER
             self._run_locked(self._switch_force_off)
 
     def close(self) -> None:

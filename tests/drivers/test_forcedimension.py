@@ -166,6 +166,19 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: OmegaBench) -> None:
         assert DeviceCaller(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
+def test_a_refused_stop_is_repeated(stub: Stub, bench: OmegaBench) -> None:
+    with bench.open(watchdog_s=0.0) as device:
+        servo = DeviceCaller(device)
+        servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+        stub["unplugged"] = 1  # the bus fails for a moment
+        device.stop()
+        assert "communication error" in device.zero_failure()
+        stub["unplugged"] = 0
+        assert stub.norm() == 0.5
+        device.stop()
+        assert stub.norm() == 0.0 and not device.zero_failure()
+
+
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: OmegaBench) -> None:
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
