@@ -178,10 +178,11 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
 
 
 @pytest.mark.parametrize("protocol", SERIES)
-def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
+def test_damaged_and_late_answers_are_not_believed(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = DeviceCaller(device)
         arm.damage[2] = 3
+        arm.stray = arm.encode(2, b"")  # confirms an earlier write
         requests = arm.requests
 
         def is_read() -> bool:

@@ -58,15 +58,18 @@ class Bus(ABC):
     def read(self, register: Register, servos: Sequence[int]) -> list[int]:
         """Return a register of several servos, in one transaction. Raises BusError, or OSError if the port is gone."""
         parameters = self._numbers(register.address, register.size) + bytes(servos)
-        answers = self._transact(BROADCAST, SYNC_READ, parameters, servos)
+        answers = self._transact(BROADCAST, SYNC_READ, parameters, servos, register.size)
         return [self.decode(answers[servo]) for servo in servos]
 
     def write(self, register: Register, servo: int, value: int) -> None:
         """Write a register and wait until the servo confirms it. Raises as `read`."""
         data = value.to_bytes(register.size, "little", signed=value < 0)
-        self._transact(servo, WRITE, self._numbers(register.address) + data, [servo])
+        self._transact(servo, WRITE, self._numbers(register.address) + data, [servo], 0)
 
-    def _transact(self, servo: int, instruction: int, parameters: bytes, expected: Sequence[int]) -> dict[int, bytes]:
+    def _transact(
+        self, servo: int, instruction: int, parameters: bytes, expected: Sequence[int], size: int
+    ) -> dict[int, bytes]:
+        """Send a request; return the data of each expected answer. One of another size answers an earlier request."""
         termios.tcflush(self._fd, termios.TCIFLUSH)  # late answers to an earlier request
         os.write(self._fd, self.packet(servo, instruction, parameters))
         received, answers, until = b"", dict[int, bytes](), time.monotonic() + self.wait_s
@@ -82,7 +85,8 @@ class Bus(ABC):
                 received = received[answer.end :]
                 if answer.error:
                     raise BusError(f"servo {answer.servo} reports error {answer.error}")
-                answers[answer.servo] = answer.data
+                if answer.servo in expected and len(answer.data) == size:
+                    answers[answer.servo] = answer.data
         return answers
 
     @abstractmethod

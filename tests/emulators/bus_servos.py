@@ -98,6 +98,8 @@ class BusServos(FarTerminal):
         self.servos = {number: Servo(table, position) for number, position in positions.items()}
         self.damage: dict[int, int] = {}
         """Number of the next answers with a wrong checksum, by id."""
+        self.stray = b""
+        """Bytes in front of each answer, such as a late one."""
         self._rest, self._free_at = b"", 0.0
         self.requests = 0
 
@@ -128,19 +130,22 @@ class BusServos(FarTerminal):
     def _answer(self, number: int, data: bytes, error: int = 0) -> None:
         if self.servos[number].mute:
             return
-        if self.table is FEETECH:
-            body = bytes([number, len(data) + 2, error]) + data
-            packet = b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
-        else:
-            body = bytes([0x55, error]) + data
-            packet = b"\xff\xff\xfd\x00" + bytes([number]) + struct.pack("<H", len(body) + 2) + body
-            packet += struct.pack("<H", crc16(packet))
+        packet = self.encode(number, data, error)
         if self.damage.get(number, 0):
             self.damage[number] -= 1
             packet = packet[:-1] + bytes([packet[-1] ^ 0x55])
         self._free_at += self.delay_s + len(packet) * self._byte_s
         time.sleep(max(0.0, self._free_at - time.monotonic()))
-        self.say(packet)
+        self.say(self.stray + packet)
+
+    def encode(self, number: int, data: bytes, error: int = 0) -> bytes:
+        """Return a status packet."""
+        if self.table is FEETECH:
+            body = bytes([number, len(data) + 2, error]) + data
+            return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+        body = bytes([0x55, error]) + data
+        packet = b"\xff\xff\xfd\x00" + bytes([number]) + struct.pack("<H", len(body) + 2) + body
+        return packet + struct.pack("<H", crc16(packet))
 
     def _packet(self) -> tuple[int, int, bytes, int] | None:
         mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)
