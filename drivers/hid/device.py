@@ -110,7 +110,8 @@ class HidDevice(BlockDevice):
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
     def last_word(self) -> LastWord | None:
-        return LastWord(self._node, int(self._block.word[BOARD.fd]), self._zero) if self._node else None
+        fd = int(self._block.word[BOARD.fd]) if self.threads is None else self.threads.lock_fd
+        return LastWord(self._node, fd, self._zero) if self._node and fd is not None else None
 
     def _calibrate(self) -> None:
         """Set the encoders to the calibration counts at the arm's present pose.

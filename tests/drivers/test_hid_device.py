@@ -128,6 +128,15 @@ def test_the_last_report_ends_the_force() -> None:
         assert not any(arm.sent[-1])
 
 
+def test_the_last_report_of_threads_goes_to_the_node() -> None:
+    """The threads' socket has no reader after a kill."""
+    options, (fd, end) = rig_options("woodenhaptics-2019"), ends()
+    node = os.open("/dev/null", os.O_RDWR)
+    link = make_thread_link(Api(fd), options, node)
+    with end, HidDevice(options, link.fd, link.threads, "/dev/hidraw7") as device:
+        assert device.last_word().fd == node
+
+
 def test_calibration_of_a_board_that_pauses() -> None:
     options = rig_options("woodenhaptics-polhem-v1", calibrate=True, timeout_s=0.2)  # a busy machine answers late
     itself = Arm(RIGS["woodenhaptics-polhem-v1"])
