@@ -93,7 +93,7 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         cable.hush()
         third_wake = threading.Thread(target=lambda: (until(lambda: cable.board.wakes >= 3), cable.mute.clear()))
         third_wake.start()
-        cable.board.force = (1.0, 0.0, 0.0)  # of a killed program
+        cable.board.force, cable.rest = (1.0, 0.0, 0.0), b"1000 0"  # of a killed program
         with opened(cable) as device:
             assert device.counts()["kicks"] >= 3
             assert not any(cable.board.force)
