@@ -177,6 +177,21 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
         assert servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
+@pytest.mark.parametrize(("protocol", "most"), [("feetech", 1000), ("dynamixel", 1750)])
+def test_a_force_beyond_the_register_is_limited(protocol: str, most: int, urdf: Path) -> None:
+    with emulated(SERIES[protocol]) as arm:
+        with leader.open_device(arm_options(arm, urdf, torque_per_count_nm=1e-4), RATE_HZ) as device:
+            servo, motor = DeviceCaller(device), arm.servos[IDS["pitch"]]
+
+            def has_force() -> bool:
+                assert servo.read()[0] >= 0
+                servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # 2000 counts
+                return motor.force(time.monotonic()) != 0
+
+            until(has_force)
+        assert motor.log[0][1] == most and motor.log[-1][1] == 0
+
+
 @pytest.mark.parametrize("protocol", SERIES)
 def test_damaged_and_late_answers_are_not_believed(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:

@@ -333,9 +333,9 @@ class LeaderArm(Device):
             self._wrench[:3] = 0.0
             word[AT.dropped] += 1
         if joint is not None:
-            limit = self._options.torque_max_nm
-            torque = min(max(float(self._jacobian @ self._wrench[:3]), -limit), limit)
-            counts = round(torque / self._options.torque_per_count_nm)
+            per_count = self._options.torque_per_count_nm
+            limit = min(self._options.torque_max_nm, self._bus.force_max * per_count)
+            counts = round(min(max(float(self._jacobian @ self._wrench[:3]), -limit), limit) / per_count)
             if counts or self._sent or stops > word[AT.stops_answered]:
                 self._bus.write(self._bus.force, self._servo_of[joint], self._bus.encode_force(counts))
                 self._sent = counts
