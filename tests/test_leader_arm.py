@@ -250,6 +250,8 @@ def test_refusals(urdf: Path, tmp_path: Path) -> None:
     with emulated() as arm:
         with pytest.raises(ConfigError, match=r"joints on the way to that link .*\['pitch', 'roll', 'yaw'\]"):
             leader.open_device(arm_options(arm, urdf, joint=[{"name": "yaw", "servo": 1}], force_joint=None), RATE_HZ)
+        with pytest.raises(ConfigError, match="torque_per_count_nm = 0"):
+            arm_options(arm, urdf, torque_per_count_nm=0.0)
         (tmp_path / "none.urdf").write_text("no robot")
         with pytest.raises(ConfigError, match=r"cannot be read.*name a URDF"):
             leader.open_device(arm_options(arm, tmp_path / "none.urdf"), RATE_HZ)

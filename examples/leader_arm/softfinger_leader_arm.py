@@ -61,6 +61,7 @@ WATCHDOG_UNITS: Final = 5
 STOP_WAIT_S: Final = 1.0
 BUSES: Final[dict[str, type[Bus]]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 _NUMBER: Final = Range(0.0, 100.0, "no such arm is stronger")
+_COUNT_NM: Final = Range(1e-6, 1.0, "1750 counts are then 1.75 mN m and 1.75 kN m")
 
 
 class Joint(Table, frozen=True, kw_only=True):
@@ -82,7 +83,7 @@ class Options(Table, frozen=True, kw_only=True):
     tip: Annotated[str, doc("link of the fingertip in the URDF", "gripper_frame_link")]
     joint: tuple[Joint, ...]
     force_joint: Annotated[str, doc("joint that displays force; absent: none does", "shoulder_pan")] | None = None
-    torque_per_count_nm: Annotated[float, within(_NUMBER, "N m of a count of the register of force", 0.002)] = 0.002
+    torque_per_count_nm: Annotated[float, within(_COUNT_NM, "N m of a count of the register of force", 0.002)] = 0.002
     torque_max_nm: Annotated[float, within(_NUMBER, "largest torque of that joint", 0.2)] = 0.2
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(_NUMBER, "most that it displays", 1.0)] = 1.0
