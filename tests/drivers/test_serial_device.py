@@ -91,8 +91,12 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 def test_a_sleeping_board_is_woken_at_opening() -> None:
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
-        third_wake = threading.Thread(target=lambda: (until(lambda: cable.board.wakes >= 3), cable.mute.clear()))
-        third_wake.start()
+
+        def wake() -> None:
+            until(lambda: cable.board.wakes >= 3)
+            cable.mute.clear()
+
+        threading.Thread(target=wake, daemon=True).start()
         cable.board.force, cable.rest = (1.0, 0.0, 0.0), b"1000 0"  # of a killed program
         with opened(cable) as device:
             assert device.counts()["kicks"] >= 3
