@@ -1,7 +1,9 @@
 """The example of a leader arm on emulated bus servos: contract, pose and force, faults of the bus, its time."""
 
 import math
+import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -207,6 +209,18 @@ def test_damaged_and_late_answers_are_not_believed(protocol: str, urdf: Path) ->
             return not arm.damage[2] and arm.requests >= requests + 10
 
         until(is_read)
+
+
+def test_an_arm_without_a_thread_is_released(urdf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with emulated() as arm:
+        interval, files = sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RuntimeError):
+            leader.open_device(arm_options(arm, urdf), RATE_HZ)
+        assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:

@@ -162,15 +162,14 @@ class LeaderArm(Device):
         self._wrench, self._copy, self._sequence, self._sent = np.zeros(WRENCH_SIZE), np.zeros(WRENCH_SIZE), 0, 0
         read(self._wrenches, -1, self._copy)  # compile it before the thread runs
         self._is_closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
         try:
             self._prepare()
+            self._bus.wait_s = WAIT_S
+            self._thread.start()
         except BaseException:
             self._close_files()
             raise
-        self._bus.wait_s = WAIT_S
-        self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
-        switch_interval.shorten()
-        self._thread.start()
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
@@ -282,6 +281,7 @@ class LeaderArm(Device):
 
     def _run(self) -> None:
         word, last = self._block.word, time.monotonic()
+        switch_interval.shorten()
         try:
             while not self._is_closing.is_set():
                 failure: BusError | None = None
