@@ -72,23 +72,23 @@ def make_pair(folder: Path, name: str) -> tuple[Path, Path]:
     files = folder / f"{name}.key", folder / f"{name}.key_secret"
     public, secret = zmq.curve_keypair()
     texts = [f'curve\n    public-key = "{public.decode()}"\n', f'    secret-key = "{secret.decode()}"\n']
+    created: list[Path] = []
     try:
         folder.mkdir(mode=0o755, parents=True, exist_ok=True)
         for path in files:
             if os.path.lexists(path):
                 raise FileExistsError(None, "already exists, and keys are not overwritten: choose another name", path)
-        _write(files[1], "".join(texts), 0o600)
-        _write(files[0], texts[0], 0o644)
+        for path, text, mode in ((files[1], "".join(texts), 0o600), (files[0], texts[0], 0o644)):
+            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+            created.append(path)
+            with open(fd, "w", encoding="ascii") as file:
+                os.fchmod(fd, mode)  # undo the umask
+                file.write(text)
     except OSError as error:
+        for path in created:
+            path.unlink()
         raise ConfigError(f"{error.filename or folder}: {error.strerror or error}") from error
     return files
-
-
-def _write(path: Path, text: str, mode: int) -> None:
-    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
-    with open(fd, "w", encoding="ascii") as file:
-        os.fchmod(fd, mode)  # undo the umask
-        file.write(text)
 
 
 def read_public(path: str | Path) -> bytes:

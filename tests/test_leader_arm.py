@@ -1,7 +1,9 @@
 """The example of a leader arm on emulated bus servos: contract, pose and force, faults of the bus, its time."""
 
 import math
+import os
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -172,13 +174,32 @@ def test_pose_and_force(protocol: str, urdf: Path) -> None:
 
             until(has_no_force)
         assert [arm.servos[number].memory[arm.table.enable] for number in IDS.values()] == [0, 1, 0]
+        device.stop()
+        device.arm()
+        assert servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+
+
+@pytest.mark.parametrize(("protocol", "most"), [("feetech", 1000), ("dynamixel", 1750)])
+def test_a_force_beyond_the_register_is_limited(protocol: str, most: int, urdf: Path) -> None:
+    with emulated(SERIES[protocol]) as arm:
+        with leader.open_device(arm_options(arm, urdf, torque_per_count_nm=1e-4), RATE_HZ) as device:
+            servo, motor = DeviceCaller(device), arm.servos[IDS["pitch"]]
+
+            def has_force() -> bool:
+                assert servo.read()[0] >= 0
+                servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # 2000 counts
+                return motor.force(time.monotonic()) != 0
+
+            until(has_force)
+        assert motor.log[0][1] == most and motor.log[-1][1] == 0
 
 
 @pytest.mark.parametrize("protocol", SERIES)
-def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
+def test_damaged_and_late_answers_are_not_believed(protocol: str, urdf: Path) -> None:
     with emulated(SERIES[protocol]) as arm, leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
         servo = DeviceCaller(device)
         arm.damage[2] = 3
+        arm.stray = arm.encode(2, b"")  # confirms an earlier write
         requests = arm.requests
 
         def is_read() -> bool:
@@ -188,6 +209,18 @@ def test_damaged_answers_are_not_believed(protocol: str, urdf: Path) -> None:
             return not arm.damage[2] and arm.requests >= requests + 10
 
         until(is_read)
+
+
+def test_an_arm_without_a_thread_is_released(urdf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    with emulated() as arm:
+        interval, files = sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
+        monkeypatch.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RuntimeError):
+            leader.open_device(arm_options(arm, urdf), RATE_HZ)
+        assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files
 
 
 def test_a_motor_that_confirms_nothing_ends_the_run(urdf: Path) -> None:
@@ -210,9 +243,13 @@ def test_a_dynamixel_stops_by_itself(urdf: Path) -> None:
         device = leader.open_device(arm_options(arm, urdf), RATE_HZ)
         servo = DeviceCaller(device)
         pushed(servo, arm, 0.5)
-        device._bus._transact = lambda *_: time.sleep(0.01) or {}
+        transact, device._bus._transact = device._bus._transact, lambda *_: time.sleep(0.01) or {1: b"", 2: b"", 3: b""}
         until(lambda: force_x(arm) == 0.0)
+        device._bus._transact = transact  # the program continues, but the servo now refuses every goal
         device.close()
+        assert not device.zero_failure() and not arm.servos[IDS["pitch"]].memory[DYNAMIXEL.enable]
+        with leader.open_device(arm_options(arm, urdf), RATE_HZ) as device:
+            pushed(DeviceCaller(device), arm, 0.5)
 
 
 def test_the_rig_of_an_so101_is_complete() -> None:
@@ -227,6 +264,8 @@ def test_refusals(urdf: Path, tmp_path: Path) -> None:
     with emulated() as arm:
         with pytest.raises(ConfigError, match=r"joints on the way to that link .*\['pitch', 'roll', 'yaw'\]"):
             leader.open_device(arm_options(arm, urdf, joint=[{"name": "yaw", "servo": 1}], force_joint=None), RATE_HZ)
+        with pytest.raises(ConfigError, match="torque_per_count_nm = 0"):
+            arm_options(arm, urdf, torque_per_count_nm=0.0)
         (tmp_path / "none.urdf").write_text("no robot")
         with pytest.raises(ConfigError, match=r"cannot be read.*name a URDF"):
             leader.open_device(arm_options(arm, tmp_path / "none.urdf"), RATE_HZ)

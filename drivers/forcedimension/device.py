@@ -31,6 +31,7 @@ log: Final = logging.getLogger(__name__)
 
 ZERO: Final = (0.0,) * 7
 ZERO_TRIES: Final = 20
+NO_ANSWER: Final = "the library has not answered"
 LOCK_WAIT_S: Final = 0.1
 """Maximum wait of `stop` for a running exchange; a slower one hangs, and the device is stopped in parallel to it."""
 
@@ -78,12 +79,12 @@ class ForceDimension(BlockDevice):
             exchange.unlock.ctypes(block)
 
     def stop(self) -> None:
-        if self._word[AT.stopped]:
+        if self._word[AT.stopped] and self._zero_failure in ("", NO_ANSWER):  # done, or in progress
             return
         self._word[AT.stopped] = 1  # before the lock: the loop sends no force after the zero
         self._word[AT.armed] = 0
         if self._word[AT.open]:
-            self._zero_failure = "the library has not answered"
+            self._zero_failure = NO_ANSWER
             self._run_locked(self._switch_force_off)
 
     def close(self) -> None:
@@ -167,7 +168,8 @@ class ForceDimension(BlockDevice):
         word[AT.open] = 1
         word[AT.started_at] = time.monotonic_ns()
         word[AT.status_every] = max(1, round(options.status_period_s * rate_hz))
-        word[AT.has_gripper] = call.dhdHasGripper(self._id)
+        # CHAI3D and cisst: the angle of a left-handed gripper is negative
+        word[AT.gripper_sign] = call.dhdHasGripper(self._id) * (-1 if call.dhdIsLeftHanded(self._id) else 1)
         word[AT.has_torque] = call.dhdHasActiveWrist(self._id) and self._model.limits.torque_max_nm > 0.0
         self._block.set_functions(call)
         if not self._model.name:

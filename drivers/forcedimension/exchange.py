@@ -53,7 +53,7 @@ class Fields(NamedTuple):
         int,
         word("whether the library returns a frame; otherwise it returns a position, and the rotation is the identity"),
     ]
-    has_gripper: Annotated[int, word("whether the device has a gripper")]
+    gripper_sign: Annotated[int, word("sign of the angle of an open gripper: -1 left-handed, 1; 0 without one")]
     has_torque: Annotated[int, word("whether the device has motors for torque; otherwise no torque is sent")]
     status_every: Annotated[int, word("number of reads between two status requests")]
     started_at: Annotated[int, word("ns")]
@@ -139,7 +139,7 @@ def _read_locked(handle: int, sample: Any) -> int:
         return _status_of_error(handle)
     buttons = call_int32(word[AT.get_buttons], (device,))
     if (
-        word[AT.has_gripper] != 0
+        word[AT.gripper_sign] != 0
         and call_int32(word[AT.get_gripper], (float64_at(handle + 8 * AT.gripper), device)) < 0
     ):
         return _status_of_error(handle)
@@ -151,7 +151,7 @@ def _read_locked(handle: int, sample: Any) -> int:
     _convert_pose(handle, sample)
     sample[SAMPLE_TIME] = float(read_monotonic_ns(handle + 8 * AT.timespec) - word[AT.started_at]) / NS_PER_S
     sample[SAMPLE_BUTTONS] = float(np.int64(buttons) & 0xFFFFFFFF)
-    sample[SAMPLE_GRIPPER] = float64_at(handle + 8 * AT.gripper)[0]  # initially 0, and unchanged without a gripper
+    sample[SAMPLE_GRIPPER] = word[AT.gripper_sign] * float64_at(handle + 8 * AT.gripper)[0]
     copy_sample(sample, float64_at(handle + 8 * AT.sample))
     if code != 0:
         word[AT.reads_guarded] += 1

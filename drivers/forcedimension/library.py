@@ -54,6 +54,7 @@ PROTOTYPES: Final[Mapping[str, tuple[Any, tuple[Any, ...]]]] = {
     "dhdHasWrist": (c_bool, (_ID,)),
     "dhdHasActiveWrist": (c_bool, (_ID,)),
     "dhdHasGripper": (c_bool, (_ID,)),
+    "dhdIsLeftHanded": (c_bool, (_ID,)),
     "drdIsInitialized": (c_bool, (_ID,)),
     "drdAutoInit": (c_int, (_ID,)),
     "drdStop": (c_int, (c_bool, _ID)),

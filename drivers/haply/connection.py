@@ -78,7 +78,7 @@ def open_connection(options: Options) -> Connection:
             device, entry = choose_device(inventory, options.device_id, options.models)
             grip = choose_grip(inventory, options.grip)
             lock = resources.enter_context(claim(options.port, device))
-            _apply_filters(options, version, device, entry.config, inventory.session_id, until)
+            _apply_filters(options, version, device, entry, inventory.session_id, until)
             key = find_force_key(version)
             link.send(encode_command(device, key, _ZERO, basis=True))
             connection = Connection(
@@ -204,14 +204,14 @@ def _request_inventory(link: WebSocketLink, until: float) -> Inventory:
 
 
 def _apply_filters(
-    options: Options, version: tuple[int, int], device: DeviceRef, config: Config, session: int, until: float
+    options: Options, version: tuple[int, int], device: DeviceRef, entry: InventoryEntry, session: int, until: float
 ) -> None:
     """Set the service's filters as in the rig; raises DeviceError if it rejects one."""
-    if config.mount is not None and not is_identity(config.mount):
+    if not (is_identity(entry.config.mount) and is_identity(entry.state.transform)):
         raise DeviceError(
-            f"{device}: the service moves, turns or scales its positions (mount): reset its workspace in the Haply Hub"
+            f"{device}: the service moves, turns or scales its positions: reset mount and workspace in the Haply Hub"
         )
-    for path, body in _list_config_requests(version, device, config, options.filters, session):
+    for path, body in _list_config_requests(version, device, entry.config, options.filters, session):
         status, answer = request(options.port, "POST", path, body, until)
         if status != 200 or not is_applied(answer, body):
             raise DeviceError(f"{device}: the service refused {path} {body}: {status} {shorten(answer)}")

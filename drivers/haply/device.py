@@ -39,7 +39,11 @@ class HaplyDevice(BlockDevice):
         grip = "" if connection.grip is None else f" with {connection.grip}"
         self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)
-        self._thread.start()
+        try:
+            self._thread.start()
+        except BaseException:
+            self.close()
+            raise
 
     def arm(self) -> None:
         """Wait for a current state, and allow forces, unless the device was stopped."""

@@ -101,11 +101,16 @@ class GripEntry(Struct):
     state: GripState
 
 
+class Workspace(Struct):
+    transform: dict[str, Any] | None = None
+
+
 class InventoryEntry(Struct):
     """Entry of the inventory."""
 
     device_id: Name
     config: Config = msgspec.field(default_factory=Config)
+    state: Workspace = msgspec.field(default_factory=Workspace)
 
 
 class ServiceState(Struct):
@@ -216,12 +221,12 @@ def find_force_key(version: tuple[int, int]) -> str:
     return "vector" if version >= VECTOR_SINCE else "values"
 
 
-def is_identity(mount: dict[str, Any]) -> bool:
+def is_identity(mount: dict[str, Any] | None) -> bool:
     """Return True if a mount, flat or below `transform`, changes neither position, orientation nor scale.
 
-    An empty mount is the identity; a mount of unknown form is not.
+    A missing or empty mount is the identity; a mount of unknown form is not.
     """
-    transform = mount.get("transform", mount)
+    transform = {} if mount is None else mount.get("transform", mount)
     return transform == {} or (
         isinstance(transform, dict)
         and transform.get("position") == {"x": 0, "y": 0, "z": 0}

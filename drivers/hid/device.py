@@ -110,7 +110,8 @@ class HidDevice(BlockDevice):
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
     def last_word(self) -> LastWord | None:
-        return LastWord(self._node, int(self._block.word[BOARD.fd]), self._zero) if self._node else None
+        fd = int(self._block.word[BOARD.fd]) if self.threads is None else self.threads.lock_fd
+        return LastWord(self._node, fd, self._zero) if self._node and fd is not None else None
 
     def _calibrate(self) -> None:
         """Set the encoders to the calibration counts at the arm's present pose.
@@ -178,4 +179,6 @@ def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
     link = open_link(options)
-    return HidDevice(options, link.fd, link.threads, link.node)
+    device = HidDevice(options, link.fd, link.threads, link.node)
+    exchange.write.ctypes(device.io().handle, (ctypes.c_double * 6)())  # a killed program may have left a force
+    return device

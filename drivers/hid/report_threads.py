@@ -55,7 +55,8 @@ class ReportThreads:
     """
 
     def __init__(self, device: HidApi, read_bytes: int, write_timeout_s: float, lock_fd: int | None = None) -> None:
-        self._device, self._bytes, self._write_timeout_s, self._lock_fd = device, read_bytes, write_timeout_s, lock_fd
+        self._device, self._bytes, self._write_timeout_s = device, read_bytes, write_timeout_s
+        self.lock_fd: Final = lock_fd
         driver_end, self._threads_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         for end in (driver_end, self._threads_end):
             end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES)
@@ -136,8 +137,8 @@ class ReportThreads:
             if last:  # no call of hidapi is in progress any more
                 self._device.close()
                 self._threads_end.close()
-                if self._lock_fd is not None:
-                    os.close(self._lock_fd)
+                if self.lock_fd is not None:
+                    os.close(self.lock_fd)
 
     def _read(self) -> None:
         hung_write: float | None = None

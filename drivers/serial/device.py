@@ -63,6 +63,8 @@ class SerialDevice(BlockDevice):
         with contextlib.suppress(OSError):
             count_unsent(fd)
             self._block.word[AT.counts_unsent] = 1
+        # A killed program may have left a force, and a truncated frame: waking sends zeros.
+        self._block.word[BOARD.has_force] = self._block.word[AT.maybe_torn] = 1
         try:
             self._wake(self._setup)
         except BaseException:

@@ -16,6 +16,7 @@ import os
 import termios
 import threading
 import time
+from contextlib import suppress
 from typing import Annotated, Any, Final, Literal, NamedTuple
 from xml.etree import ElementTree
 
@@ -60,6 +61,7 @@ WATCHDOG_UNITS: Final = 5
 STOP_WAIT_S: Final = 1.0
 BUSES: Final[dict[str, type[Bus]]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 _NUMBER: Final = Range(0.0, 100.0, "no such arm is stronger")
+_COUNT_NM: Final = Range(1e-6, 1.0, "1750 counts are then 1.75 mN m and 1.75 kN m")
 
 
 class Joint(Table, frozen=True, kw_only=True):
@@ -81,7 +83,7 @@ class Options(Table, frozen=True, kw_only=True):
     tip: Annotated[str, doc("link of the fingertip in the URDF", "gripper_frame_link")]
     joint: tuple[Joint, ...]
     force_joint: Annotated[str, doc("joint that displays force; absent: none does", "shoulder_pan")] | None = None
-    torque_per_count_nm: Annotated[float, within(_NUMBER, "N m of a count of the register of force", 0.002)] = 0.002
+    torque_per_count_nm: Annotated[float, within(_COUNT_NM, "N m of a count of the register of force", 0.002)] = 0.002
     torque_max_nm: Annotated[float, within(_NUMBER, "largest torque of that joint", 0.2)] = 0.2
     mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(_NUMBER, "most that it displays", 1.0)] = 1.0
@@ -160,15 +162,14 @@ class LeaderArm(Device):
         self._wrench, self._copy, self._sequence, self._sent = np.zeros(WRENCH_SIZE), np.zeros(WRENCH_SIZE), 0, 0
         read(self._wrenches, -1, self._copy)  # compile it before the thread runs
         self._is_closing = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
         try:
             self._prepare()
+            self._bus.wait_s = WAIT_S
+            self._thread.start()
         except BaseException:
             self._close_files()
             raise
-        self._bus.wait_s = WAIT_S
-        self._thread = threading.Thread(target=self._run, name="leader arm", daemon=True)
-        switch_interval.shorten()
-        self._thread.start()
 
     def io(self) -> DeviceIO:
         return DeviceIO(exchange.read.address, exchange.write.address, self._block.handle)
@@ -176,7 +177,7 @@ class LeaderArm(Device):
     def arm(self) -> None:
         word = self._block.word
         before, until = int(word[AT.states]), time.monotonic() + self._options.timeout_s
-        while word[AT.states] == before:
+        while word[AT.states] == before and not word[AT.stopped]:
             if word[AT.failed] < 0:
                 raise DeviceLost(f"{self.info.name}: {self.failure}")
             if time.monotonic() > until:
@@ -187,6 +188,7 @@ class LeaderArm(Device):
 
     def stop(self) -> None:
         word = self._block.word
+        word[AT.stopped] = 1  # first, because a concurrent `arm` may set `armed` again
         word[AT.armed] = 0
         if self._options.force_joint is None or word[AT.wake] < 0:
             return
@@ -249,10 +251,10 @@ class LeaderArm(Device):
                     f"servo {servo} is in mode {mode}, and follows forces in mode {bus.force_mode} only: set register "
                     f"{bus.mode.address} with the maker's program, which stores it for good"
                 )
-            bus.write(bus.force, servo, 0)
             if bus.watchdog is not None:
-                bus.write(bus.watchdog, servo, 0)  # clears one that has run out
+                bus.write(bus.watchdog, servo, 0)  # a servo with an expired one refuses forces
                 bus.write(bus.watchdog, servo, WATCHDOG_UNITS)
+            bus.write(bus.force, servo, 0)
             bus.write(bus.enable, servo, 1)
         except BusError as error:
             raise DeviceTimeout(
@@ -279,6 +281,7 @@ class LeaderArm(Device):
 
     def _run(self) -> None:
         word, last = self._block.word, time.monotonic()
+        switch_interval.shorten()
         try:
             while not self._is_closing.is_set():
                 failure: BusError | None = None
@@ -309,7 +312,8 @@ class LeaderArm(Device):
         failure = ""
         for _ in range(LAST_ZEROS):
             try:
-                self._bus.write(self._bus.force, self._servo_of[joint], 0)
+                with suppress(BusError):  # an expired watchdog; a motor that is off exerts no force
+                    self._bus.write(self._bus.force, self._servo_of[joint], 0)
                 self._bus.write(self._bus.enable, self._servo_of[joint], 0)
                 word[AT.stops_answered] = word[AT.stops_requested]
                 return
@@ -324,14 +328,15 @@ class LeaderArm(Device):
         if sequence != self._sequence:
             self._sequence, self._wrench[:] = sequence, self._copy
         force, number, stops = self._wrench[:3], int(self._wrench[WRENCH_NUMBER]), int(word[AT.stops_requested])
-        is_old = not word[AT.armed] or time.monotonic_ns() - self._wrench[WRITE_TIME] > word[AT.stale]
+        is_armed = word[AT.armed] and not word[AT.stopped]
+        is_old = not is_armed or time.monotonic_ns() - self._wrench[WRITE_TIME] > word[AT.stale]
         if force.any() and is_old:
             self._wrench[:3] = 0.0
             word[AT.dropped] += 1
         if joint is not None:
-            limit = self._options.torque_max_nm
-            torque = min(max(float(self._jacobian @ self._wrench[:3]), -limit), limit)
-            counts = round(torque / self._options.torque_per_count_nm)
+            per_count = self._options.torque_per_count_nm
+            limit = min(self._options.torque_max_nm, self._bus.force_max * per_count)
+            counts = round(min(max(float(self._jacobian @ self._wrench[:3]), -limit), limit) / per_count)
             if counts or self._sent or stops > word[AT.stops_answered]:
                 self._bus.write(self._bus.force, self._servo_of[joint], self._bus.encode_force(counts))
                 self._sent = counts

@@ -51,6 +51,8 @@ class Bus(ABC):
     """Register that stops the motor without requests, in units of 20 ms."""
     force_mode: int
     """Value of `mode` in which the motor follows `force`."""
+    force_max: int
+    """Largest number of counts in `force`."""
 
     def __init__(self, fd: int, wait_s: float) -> None:
         self._fd, self.wait_s = fd, wait_s
@@ -58,15 +60,18 @@ class Bus(ABC):
     def read(self, register: Register, servos: Sequence[int]) -> list[int]:
         """Return a register of several servos, in one transaction. Raises BusError, or OSError if the port is gone."""
         parameters = self._numbers(register.address, register.size) + bytes(servos)
-        answers = self._transact(BROADCAST, SYNC_READ, parameters, servos)
+        answers = self._transact(BROADCAST, SYNC_READ, parameters, servos, register.size)
         return [self.decode(answers[servo]) for servo in servos]
 
     def write(self, register: Register, servo: int, value: int) -> None:
         """Write a register and wait until the servo confirms it. Raises as `read`."""
         data = value.to_bytes(register.size, "little", signed=value < 0)
-        self._transact(servo, WRITE, self._numbers(register.address) + data, [servo])
+        self._transact(servo, WRITE, self._numbers(register.address) + data, [servo], 0)
 
-    def _transact(self, servo: int, instruction: int, parameters: bytes, expected: Sequence[int]) -> dict[int, bytes]:
+    def _transact(
+        self, servo: int, instruction: int, parameters: bytes, expected: Sequence[int], size: int
+    ) -> dict[int, bytes]:
+        """Send a request; return the data of each expected answer. One of another size answers an earlier request."""
         termios.tcflush(self._fd, termios.TCIFLUSH)  # late answers to an earlier request
         os.write(self._fd, self.packet(servo, instruction, parameters))
         received, answers, until = b"", dict[int, bytes](), time.monotonic() + self.wait_s
@@ -82,7 +87,8 @@ class Bus(ABC):
                 received = received[answer.end :]
                 if answer.error:
                     raise BusError(f"servo {answer.servo} reports error {answer.error}")
-                answers[answer.servo] = answer.data
+                if answer.servo in expected and len(answer.data) == size:
+                    answers[answer.servo] = answer.data
         return answers
 
     @abstractmethod
@@ -110,7 +116,7 @@ class Feetech(Bus):
     """STS and SMS series, such as the STS3215. Force: duty cycle in 0.1 %; the manual has no watchdog."""
 
     enable, mode, force, position = Register(40, 1), Register(33, 1), Register(44, 2), Register(56, 2)
-    force_mode = 2
+    force_mode, force_max = 2, 1000
     SIGN: Final = 1 << 10
 
     def packet(self, servo: int, instruction: int, parameters: bytes) -> bytes:
@@ -144,7 +150,7 @@ class Dynamixel(Bus):
 
     enable, mode, force, position = Register(64, 1), Register(11, 1), Register(102, 2), Register(132, 4)
     watchdog = Register(98, 1)
-    force_mode = 0
+    force_mode, force_max = 0, 1750
     HEAD: Final = b"\xff\xff\xfd\x00"
     STUFFING: Final = (b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 

@@ -166,6 +166,19 @@ def test_stopped_device_is_never_armed(stub: Stub, bench: OmegaBench) -> None:
         assert DeviceCaller(device).write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0) == WITHHELD
 
 
+def test_a_refused_stop_is_repeated(stub: Stub, bench: OmegaBench) -> None:
+    with bench.open(watchdog_s=0.0) as device:
+        servo = DeviceCaller(device)
+        servo.write(0.5, 0.0, 0.0, 0.0, 0.0, 0.0)
+        stub["unplugged"] = 1  # the bus fails for a moment
+        device.stop()
+        assert "communication error" in device.zero_failure()
+        stub["unplugged"] = 0
+        assert stub.norm() == 0.5
+        device.stop()
+        assert stub.norm() == 0.0 and not device.zero_failure()
+
+
 def test_stop_over_an_arming_that_hangs(stub: Stub, bench: OmegaBench) -> None:
     with bench.open_unarmed() as device:
         stub["enable_s"] = 1.0
@@ -368,6 +381,13 @@ def test_poses_and_wrenches_are_turned_into_the_world(stub: Stub, bench: OmegaBe
                 assert DeviceCaller(device).write(0.1, 0.2, 0.3, 0.01, 0.02, 0.03) == OK
                 assert [stub["fx"], stub["fy"], stub["fz"]] == (TURN.T @ [0.1, 0.2, 0.3]).tolist()
                 assert [stub["tx"], stub["ty"], stub["tz"]] == (TURN.T @ [0.01, 0.02, 0.03]).tolist()
+
+
+@pytest.mark.parametrize("left", [0, 1])
+def test_an_open_gripper_has_a_positive_angle(left: int, stub: Stub, bench: OmegaBench) -> None:
+    stub.update(**SIGMA_7, left=left, gripper_rad=0.4)
+    with bench.open() as device:
+        assert DeviceCaller(device).read()[1][9] == 0.4
 
 
 @pytest.mark.scaled

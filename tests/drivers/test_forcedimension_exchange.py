@@ -54,7 +54,7 @@ class Library(FarEnd):
         for number, name in enumerate(LIBRARY_FUNCTIONS, 100):
             self.word[getattr(AT, name)] = number
         self.word[AT.id], self.word[AT.open], self.word[AT.armed] = ID, 1, 1
-        self.word[AT.has_frame] = self.word[AT.has_gripper] = self.word[AT.has_torque] = 1
+        self.word[AT.has_frame] = self.word[AT.gripper_sign] = self.word[AT.has_torque] = 1
         self.word[AT.status_every], self.word[AT.started_at], self.word[AT.cause] = 4, START_NS - 2000 * MS, -1
         self.word[AT.frame + 3 : AT.frame + 12].view(np.float64)[:] = np.eye(3).ravel()
         self.gives: dict[str, int] = {}

@@ -288,14 +288,21 @@ def test_filters_of_an_older_service() -> None:
 
 
 def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
-    """A mount that rotates, moves or scales positions would also affect forces, so it is rejected, at top level and
-    below `transform`, as is one of unknown form. An empty mount is accepted."""
+    """A mount or workspace that rotates, moves or scales positions would also affect forces, so it is rejected, at top
+    level and below `transform`, as is one of unknown form. An empty mount is accepted."""
     still = {"position": {"x": 0, "y": 0, "z": 0}, "rotation": {"w": 1, "x": 0, "y": 0, "z": 0}}
     none, doubled = ({**still, "scale": dict.fromkeys("xyz", size)} for size in (1, 2))
-    for mount in (doubled, {"transform": doubled}, {"transform": still}, {"offset": 1}):
-        service.set(mount=mount)
-        with pytest.raises(DeviceError, match=r"moves, turns or scales.*reset its workspace"):
+    for place in (
+        {"mount": doubled},
+        {"mount": {"transform": doubled}},
+        {"mount": {"transform": still}},
+        {"mount": {"offset": 1}},
+        {"mount": none, "transform": doubled},
+    ):
+        service.set(**place)
+        with pytest.raises(DeviceError, match=r"moves, turns or scales.*reset mount and workspace"):
             opened(service)
+    service.set(transform=none)
     for mount in ({}, {"transform": {}}, {"transform": none}, None):
         service.set(mount=mount)
         opened(service).close()
@@ -412,7 +419,7 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
 
 
 def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    start, interval = threading.Thread.start, sys.getswitchinterval()
+    start, interval, files = threading.Thread.start, sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
 
     def refuse(thread: threading.Thread) -> None:
         if thread.name == "haply exchange":
@@ -422,7 +429,7 @@ def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: py
     monkeypatch.setattr(threading.Thread, "start", refuse)
     with pytest.raises(RuntimeError):
         opened(service)
-    assert sys.getswitchinterval() == interval
+    assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files
     monkeypatch.undo()
     opened(service).close()
 

@@ -26,7 +26,7 @@ from softfinger.config.load import build
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import make_thread_link
+from softfinger.drivers.hid.link import ReportLink, make_thread_link
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
@@ -75,6 +75,13 @@ def test_a_board_that_sends_continuously() -> None:
         assert device.counts()["reports"] > 30
 
 
+def test_opening_ends_the_force_of_a_killed_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    fd, end = ends()
+    monkeypatch.setattr("softfinger.drivers.hid.device.open_link", lambda _: ReportLink(fd))
+    with end, open_device(rig_options("woodenhaptics-2019", calibrate=False), 1000.0):
+        assert end.recv(100, socket.MSG_DONTWAIT) == bytes(65)
+
+
 def test_minutes_between_opening_and_the_first_tick() -> None:
     with woody() as (device, arm, answering):
         servo = DeviceCaller(device)
@@ -119,6 +126,15 @@ def test_the_last_report_ends_the_force() -> None:
         assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
+
+
+def test_the_last_report_of_threads_goes_to_the_node() -> None:
+    """The threads' socket has no reader after a kill."""
+    options, (fd, end) = rig_options("woodenhaptics-2019"), ends()
+    node = os.open("/dev/null", os.O_RDWR)
+    link = make_thread_link(Api(fd), options, node)
+    with end, HidDevice(options, link.fd, link.threads, "/dev/hidraw7") as device:
+        assert device.last_word().fd == node
 
 
 def test_calibration_of_a_board_that_pauses() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulators.serialboard import FRAME_BYTES, Board, Cable
 from helpers.serial_devices import PLACE, board, opened
-from helpers.waits import fresh
+from helpers.waits import fresh, until
 
 from softfinger.config.errors import DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
@@ -56,10 +56,16 @@ def test_minutes_between_opening_and_the_first_tick() -> None:
 def test_a_sleeping_board_is_woken_at_opening() -> None:
     with Cable(Board(lambda _: PLACE)) as cable:
         cable.hush()
-        threading.Timer(0.3, cable.mute.clear).start()
+
+        def wake() -> None:
+            until(lambda: cable.board.wakes >= 3)
+            cable.mute.clear()
+
+        threading.Thread(target=wake, daemon=True).start()
+        cable.board.force, cable.rest = (1.0, 0.0, 0.0), b"1000 0"  # of a killed program
         with opened(cable) as device:
             assert device.counts()["kicks"] >= 3
-            assert cable.board.sent == []
+            assert not any(cable.board.force)
         cable.hush()
         with pytest.raises(NoAnswer, match=r"at /dev/pts/\d+ sends no frame within 0.2 s: check its power"):
             opened(cable, wake_s=0.2)

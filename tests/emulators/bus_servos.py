@@ -31,6 +31,9 @@ class Registers(NamedTuple):
 FEETECH = Registers(enable=40, mode=33, force=44, position=56, watchdog=0, force_mode=2)
 DYNAMIXEL = Registers(enable=64, mode=11, force=102, position=132, watchdog=98, force_mode=0)
 WATCHDOG_UNIT_S = 0.02
+EXPIRED = 0xFF
+"""Value of an expired watchdog: the servo refuses goals until it is 0."""
+RANGE_ERROR = 4
 
 
 def crc16(data: bytes) -> int:
@@ -63,16 +66,27 @@ class Servo:
         if self.table is FEETECH:
             (raw,) = struct.unpack_from("<H", self.memory, self.table.force)
             return -(raw & 0x3FF) if raw & 0x400 else raw & 0x3FF
-        limit_s = self.memory[self.table.watchdog] * WATCHDOG_UNIT_S
-        if limit_s and now - self.heard_at > limit_s:
-            return 0
-        return int(struct.unpack_from("<h", self.memory, self.table.force)[0])
+        self.watch(now)
+        return (
+            0
+            if self.memory[self.table.watchdog] == EXPIRED
+            else int(struct.unpack_from("<h", self.memory, self.table.force)[0])
+        )
 
-    def store(self, address: int, data: bytes, now: float) -> None:
+    def watch(self, now: float) -> None:
+        limit_s = self.memory[self.table.watchdog] * WATCHDOG_UNIT_S if self.table.watchdog else 0.0
+        if limit_s and self.memory[self.table.enable] and now - self.heard_at > limit_s:
+            self.memory[self.table.watchdog] = EXPIRED
+
+    def store(self, address: int, data: bytes, now: float) -> int:
+        """Store a register; return the error of the answer."""
+        if address == self.table.force and self.table.watchdog and self.memory[self.table.watchdog] == EXPIRED:
+            return RANGE_ERROR
         before = self.force(now)
         self.memory[address : address + len(data)] = data
         if (after := self.force(now)) != before:
             self.log.append((now, after))
+        return 0
 
 
 class BusServos(FarTerminal):
@@ -84,6 +98,8 @@ class BusServos(FarTerminal):
         self.servos = {number: Servo(table, position) for number, position in positions.items()}
         self.damage: dict[int, int] = {}
         """Number of the next answers with a wrong checksum, by id."""
+        self.stray = b""
+        """Bytes in front of each answer, such as a late one."""
         self._rest, self._free_at = b"", 0.0
         self.requests = 0
 
@@ -95,6 +111,7 @@ class BusServos(FarTerminal):
             self._free_at = max(self._free_at, now) + size * self._byte_s
             self.requests += 1
             for servo in self.servos.values():
+                servo.watch(now)
                 servo.heard_at = now
             self._execute(number, instruction, parameters, now)
 
@@ -108,25 +125,27 @@ class BusServos(FarTerminal):
                     return  # the next servo waits for its answer, and all after it
                 self._answer(parameter, bytes(self.servos[parameter].memory[address : address + size]))
         elif instruction == WRITE and number in self.servos:
-            self.servos[number].store(address, parameters[wide:], now)
-            self._answer(number, b"")
+            self._answer(number, b"", self.servos[number].store(address, parameters[wide:], now))
 
-    def _answer(self, number: int, data: bytes) -> None:
+    def _answer(self, number: int, data: bytes, error: int = 0) -> None:
         if self.servos[number].mute:
             return
-        if self.table is FEETECH:
-            body = bytes([number, len(data) + 2, 0]) + data
-            packet = b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
-        else:
-            body = b"\x55\x00" + data
-            packet = b"\xff\xff\xfd\x00" + bytes([number]) + struct.pack("<H", len(body) + 2) + body
-            packet += struct.pack("<H", crc16(packet))
+        packet = self.encode(number, data, error)
         if self.damage.get(number, 0):
             self.damage[number] -= 1
             packet = packet[:-1] + bytes([packet[-1] ^ 0x55])
         self._free_at += self.delay_s + len(packet) * self._byte_s
         time.sleep(max(0.0, self._free_at - time.monotonic()))
-        self.say(packet)
+        self.say(self.stray + packet)
+
+    def encode(self, number: int, data: bytes, error: int = 0) -> bytes:
+        """Return a status packet."""
+        if self.table is FEETECH:
+            body = bytes([number, len(data) + 2, error]) + data
+            return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
+        body = bytes([0x55, error]) + data
+        packet = b"\xff\xff\xfd\x00" + bytes([number]) + struct.pack("<H", len(body) + 2) + body
+        return packet + struct.pack("<H", crc16(packet))
 
     def _packet(self) -> tuple[int, int, bytes, int] | None:
         mark, head = (b"\xff\xff", 4) if self.table is FEETECH else (b"\xff\xff\xfd\x00", 7)

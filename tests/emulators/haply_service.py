@@ -83,11 +83,6 @@ class Inverse:
             "current_cursor_force": {"x": x, "y": y, "z": z},
             "control_domain": "cartesian",
             "control_mode": "force" if self.requests else "idle",
-            "transform": {
-                "position": {"x": 0.0, "y": 0.0, "z": 0.0},
-                "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
-                "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
-            },
         }
 
 
@@ -108,6 +103,8 @@ class Service:
         self.filters: dict[int, dict[str, Any]] = {}
         """By session."""
         self.mount: dict[str, Any] | None = _identity()
+        self.transform: dict[str, Any] | None = _identity()
+        """Of the workspace, by the Haply Hub or another program."""
         self.types: dict[str, str] = {}
         """`config.type` by device, if it differs from the name of its list."""
         self.enveloped = True
@@ -175,7 +172,11 @@ class Service:
             shown: dict[str, Any] = {"session_id": session} if whole else {}
             for group, devices in self.devices.items():
                 shown[group] = [
-                    {"device_id": device.name, "state": device.state(now), "status": device.status}
+                    {
+                        "device_id": device.name,
+                        "state": device.state(now) | {"transform": self.transform},
+                        "status": device.status,
+                    }
                     | ({"config": self._config(group, device, session)} if whole else {})
                     for device in devices.values()
                     if device.name not in self.absent

@@ -76,6 +76,8 @@ class Cable(Terminal):
         super().__init__()
         self.board = board
         self._deaf, self._reading, self._saying = False, threading.Lock(), threading.Lock()
+        self.rest = b""
+        """Bytes of an incomplete line."""
         self.spoil: Callable[[bytes], bytes] = bytes
         """Change of an answer on the line."""
         self.came = 0
@@ -87,7 +89,7 @@ class Cable(Terminal):
         self._thread.start()
 
     def _run(self) -> None:
-        poll, rest, idle_at = select.poll(), b"", time.monotonic()
+        poll, idle_at = select.poll(), time.monotonic()
         poll.register(self._far, select.POLLIN)
         while not self._pulled.is_set():
             now = time.monotonic()
@@ -100,9 +102,9 @@ class Cable(Terminal):
                 if not self._deaf:
                     data = os.read(self._far, 4096)
                     self.came += len(data)
-                    rest += data
-            while b"\n" in rest:
-                line, rest = rest[: rest.index(b"\n") + 1], rest[rest.index(b"\n") + 1 :]
+                    self.rest += data
+            while (end := self.rest.find(b"\n") + 1) > 0:
+                line, self.rest = self.rest[:end], self.rest[end:]
                 if len(line) == FRAME_BYTES:
                     self.idle_before.append(idle_at)
                 answer = self.board.answer(line)

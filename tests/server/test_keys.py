@@ -1,5 +1,6 @@
 """Access to a daemon: key files, and its own socket for commands if the rig names no address."""
 
+import errno
 import json
 import os
 import stat
@@ -47,6 +48,21 @@ def test_the_secret_is_readable_by_its_owner_only(tmp_path: Path, mask: int) -> 
     assert zmq.auth.load_certificate(secret) == tuple(read_pair(secret))
     assert zmq.auth.load_certificate(public) == (read_public(public), None)
     assert zmq.curve_public(read_pair(secret).secret) == read_public(public)
+
+
+def test_a_pair_is_written_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_file = os.open
+
+    def refuse_public(path: Path, *how: int) -> int:
+        if path.suffix == ".key":
+            raise OSError(errno.ENOSPC, "No space left on device", path)
+        return open_file(path, *how)
+
+    monkeypatch.setattr(os, "open", refuse_public)
+    with pytest.raises(ConfigError, match=r"rig\.key: No space left"):
+        make_pair(tmp_path, "rig")
+    monkeypatch.undo()
+    make_pair(tmp_path, "rig")
 
 
 def test_no_key_is_overwritten(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ static __thread int last_error;
 #define KNOBS \
  /* what is attached */ \
     X(devices, 1) X(type, 33) X(serial, 1234) X(initialized, 1) X(wrist, 0) \
-    X(active_wrist, 0) X(gripper, 0) X(gripper_rad, 0.3) X(buttons, 0) X(held, 0) \
+    X(active_wrist, 0) X(gripper, 0) X(gripper_rad, 0.3) X(left, 0) X(buttons, 0) X(held, 0) \
  /* the handle and the hand, kg, N s/m, N/m, N, s */ \
     X(mass, 0.25) X(damping, 8) X(stiffness, 1000) X(motor_max, 20) X(step_s, 0.001) \
  /* the hand's path, m, Hz and rad, in the library's frame: centre, amplitudes of a sine in x and y and a cosine in z, \
@@ -217,6 +217,7 @@ int dhdGetSerialNumber(unsigned short *out, char id)
 bool dhdHasWrist(char id) { return !usable(id) && k.wrist; }
 bool dhdHasActiveWrist(char id) { return !usable(id) && k.active_wrist; }
 bool dhdHasGripper(char id) { return !usable(id) && k.gripper; }
+bool dhdIsLeftHanded(char id) { return !usable(id) && k.left; }
 bool drdIsInitialized(char id) { return !usable(id) && k.initialized; }
 int drdAutoInit(char id)
 {
@@ -281,7 +282,7 @@ int dhdGetGripperAngleRad(double *out, char id)
 {
     if (usable(id)) return -1;
     if (!k.gripper) return fail(NOT_AVAILABLE);
-    *out = k.gripper_rad;
+    *out = k.left ? -k.gripper_rad : k.gripper_rad;  /* as CHAI3D and cisst find it */
     return 0;
 }
 int dhdGetStatus(int status[17], char id)
