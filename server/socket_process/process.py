@@ -303,8 +303,6 @@ def drop_priority_when_busy() -> None:
 
 def run_process(channel: Channel) -> None:
     """Run the process for the daemon at the other end, until either ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
-        signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_DaemonLogHandler(channel))
     setup = _receive_setup(channel)
     if setup is None:
