@@ -85,8 +85,9 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:
         set_up_process()
     open_streams()
-    with signals.handle_signals(ignore_after=argv is None):
+    with contextlib.ExitStack() as handling:
         try:
+            handling.enter_context(signals.handle_signals(ignore_after=argv is None))
             code = run_verb(sys.argv[1:] if argv is None else argv)
             sys.stdout.flush()
             return code

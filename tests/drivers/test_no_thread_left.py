@@ -84,18 +84,20 @@ def test_a_device_is_opened_only_with_threads_for_its_stop(monkeypatch: pytest.M
 
 
 PROGRAM = """
+import threading
 from softfinger.server import cli
 from softfinger.server.verbs import shipped
 
-def run(args):
+def refuse(_):
     raise RuntimeError("can't start new thread")
 
-shipped.run = run
+{} = refuse
 raise SystemExit(cli.main(["scenes"]))
 """
 
 
-def test_a_verb_without_threads_ends_with_an_error() -> None:
-    process = run_program([sys.executable, "-c", PROGRAM])
+@pytest.mark.parametrize("refused", ["shipped.run", "threading.Thread.start"])
+def test_a_verb_without_threads_ends_with_an_error(refused: str) -> None:
+    process = run_program([sys.executable, "-c", PROGRAM.format(refused)])
     assert process.returncode == 11
     assert process.stderr.startswith("softfinger: the system refused: no thread can be started")
