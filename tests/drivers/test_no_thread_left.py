@@ -89,15 +89,25 @@ from softfinger.server import cli
 from softfinger.server.verbs import shipped
 
 def refuse(_):
-    raise RuntimeError("can't start new thread")
+    raise {}
 
 {} = refuse
 raise SystemExit(cli.main(["scenes"]))
 """
 
 
-@pytest.mark.parametrize("refused", ["shipped.run", "threading.Thread.start"])
-def test_a_verb_without_threads_ends_with_an_error(refused: str) -> None:
-    process = run_program([sys.executable, "-c", PROGRAM.format(refused)])
+NO_THREAD = """RuntimeError("can't start new thread")"""
+
+
+@pytest.mark.parametrize(
+    ("error", "refused", "reason"),
+    [
+        (NO_THREAD, "shipped.run", "no thread can be started"),
+        (NO_THREAD, "threading.Thread.start", "no thread can be started"),
+        ("ImportError('a.so: failed to map segment from shared object')", "shipped.run", "out of memory"),
+    ],
+)
+def test_a_verb_without_threads_or_memory_ends_with_an_error(error: str, refused: str, reason: str) -> None:
+    process = run_program([sys.executable, "-c", PROGRAM.format(error, refused)])
     assert process.returncode == 11
-    assert process.stderr.startswith("softfinger: the system refused: no thread can be started")
+    assert process.stderr.startswith(f"softfinger: the system refused: {reason}")
