@@ -102,31 +102,32 @@ class Daemon:
             self.switch_file: Final = switch.file
             """File of the force switch, for `signals.stop_on_signal`; open until the publisher is closed."""
             self.publisher: Final = self._open_publisher(endpoints, scene, switch)
-            cleanups.append(self.publisher.close)
+            cleanups += [self.publisher.close, self.publisher.tap.close]
             metrics = self._open_metrics()
             if metrics is not None:
                 cleanups.append(metrics.stop)
             self.rendering: Final = Rendering(rig, scene, ticks, self._prepare, faults, self.states, switch.words)
+            cleanups += [self.rendering.servo.close, self.rendering.stop]
+            self.public: Final = endpoints.public
+            """Endpoints reachable from other machines, by table of the rig."""
+            self.servo: Final = self.rendering.servo
+            self._publish_scene_info(scene_name)
+            self.recordings: Final = Recordings(self.rendering, fingers, self._publish_event)
+            self.deformation: Final = DeformationPublisher(self.rendering, fingers, self._send_message)
+            self.blackbox: Final = BlackBoxes(
+                self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
+            )
+            self.publisher.report_event = self._publish_event
+            self.supervisor: Final = Supervisor(self.servo, self.fail, self._publish_event)
+            self.commands_endpoint: Final = endpoints.commands
+            """Endpoint of the commands; None if they are off."""
+            self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
+            """Endpoint of the metrics for Prometheus; None if they are off."""
+            self.services: Final = self._make_services(scene_name, hotplug, metrics, sinks)
+            """In order of start; the servo is started last and stopped first."""
         except BaseException as error:
             shutdown.run_all_steps(*reversed(cleanups), first=error)
             raise
-        self.public: Final = endpoints.public
-        """Endpoints reachable from other machines, by table of the rig."""
-        self.servo: Final = self.rendering.servo
-        self._publish_scene_info(scene_name)
-        self.recordings: Final = Recordings(self.rendering, fingers, self._publish_event)
-        self.deformation: Final = DeformationPublisher(self.rendering, fingers, self._send_message)
-        self.blackbox: Final = BlackBoxes(
-            self.servo, fingers, lambda: describe_daemon(self.rendering, self._scene_name)
-        )
-        self.publisher.report_event = self._publish_event
-        self.supervisor: Final = Supervisor(self.servo, self.fail, self._publish_event)
-        self.commands_endpoint: Final = endpoints.commands
-        """Endpoint of the commands; None if they are off."""
-        self.metrics_endpoint: Final = None if metrics is None else metrics.endpoint
-        """Endpoint of the metrics for Prometheus; None if they are off."""
-        self.services: Final = self._make_services(scene_name, hotplug, metrics, sinks)
-        """In order of start; the servo is started last and stopped first."""
 
     @property
     def devices(self) -> tuple[base.Device, ...]:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # before `main` installs its handlers, Ctrl-C during an impor
 
 NO_THREAD: Final = "can't start new thread"
 """Python's message at a limit of processes or of memory."""
+NO_MAPPING: Final = "failed to map segment from shared object"
+"""The system's message for an extension module at a limit of memory."""
 DESCRIPTORS_MIN: Final = 64
 """File descriptors needed to load a compiler, open a device and publish; ZeroMQ aborts if it gets none."""
 
@@ -85,8 +87,9 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:
         set_up_process()
     open_streams()
-    with signals.handle_signals(ignore_after=argv is None):
+    with contextlib.ExitStack() as handling:
         try:
+            handling.enter_context(signals.handle_signals(ignore_after=argv is None))
             code = run_verb(sys.argv[1:] if argv is None else argv)
             sys.stdout.flush()
             return code
@@ -106,8 +109,8 @@ def main(argv: list[str] | None = None) -> int:
             # The reader of stdout has closed the pipe (`| head`): this is not an error, nor while closing.
             discard(sys.stdout)
             return 0
-        except (OSError, MemoryError, RuntimeError) as error:
-            if isinstance(error, RuntimeError) and str(error) != NO_THREAD:
+        except (OSError, MemoryError, RuntimeError, ImportError) as error:
+            if isinstance(error, RuntimeError | ImportError) and not str(error).endswith((NO_THREAD, NO_MAPPING)):
                 raise
             if {"-v", "--verbose"} & set(sys.argv):
                 raise
@@ -174,7 +177,7 @@ def report_failure(message: str, code: int) -> int:
     return code
 
 
-def format_reason(error: OSError | MemoryError | RuntimeError) -> str:
+def format_reason(error: OSError | MemoryError | RuntimeError | ImportError) -> str:
     reason = "no thread can be started" if isinstance(error, RuntimeError) else "out of memory"
     if isinstance(error, FileNotFoundError) and error.filename is None:  # of os.getcwd
         reason = "the current folder was removed: change to another one"

@@ -14,10 +14,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TextIO, TypeVar, cast
 
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
-from softfinger.server.standard_error import write_line
+from softfinger.server.standard_error import WithoutWaiting, write_line
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
@@ -217,8 +217,10 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
     columns: list[ProgressColumn] = [TimeElapsedColumn(), _TaskText("", table_column=text)]
     if bar:
         columns += [BarColumn(), _TaskShare()]
-    # The terminal wraps long log lines. Redirected output does not go to the terminal.
-    console = Visible(stderr=True, soft_wrap=True, highlight=False)
+    # The terminal wraps long log lines. Redirected output does not go to the terminal. No thread waits for a terminal
+    # that accepts nothing (Ctrl-S, a lost connection), because the end of the display would wait for that thread.
+    stream = cast(TextIO, WithoutWaiting(sys.stderr))
+    console = Visible(file=stream, soft_wrap=True, highlight=False)
     return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
 
 

@@ -116,11 +116,14 @@ def handle_signals(ignore_after: bool = False) -> Iterator[None]:
         yield
         return
     global _state
-    outer, _state = _state, _SignalState()
-    _state.importing = True
+    state = _SignalState()
+    state.importing = True
     receiver, sender = os.pipe()
     os.set_blocking(sender, False)
-    _state.sender = sender
+    state.sender = sender
+    watch = threading.Thread(target=_watch_main, args=(receiver, state), name="signals", daemon=True)
+    watch.start()  # first, because the system may have no thread left
+    outer, _state = _state, state
     hook, sys.unraisablehook = sys.unraisablehook, _make_unraisable_hook(sys.unraisablehook)
     wakeup = signal.set_wakeup_fd(sender, warn_on_full_buffer=False)
     previous_handlers = {}
@@ -130,8 +133,6 @@ def handle_signals(ignore_after: bool = False) -> Iterator[None]:
             previous_handlers[number] = signal.signal(
                 number, _handle_stop if number in STOPPING_SIGNALS else _handle_end
             )
-    watch = threading.Thread(target=_watch_main, args=(receiver, _state), name="signals", daemon=True)
-    watch.start()
     try:
         yield
     finally:

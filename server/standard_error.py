@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import select
 import sys
-from typing import Final
+from typing import Any, Final, TextIO
 
 LAST_WAIT_S: Final = 1.0
 """Time for which the last line of a program waits."""
@@ -17,6 +17,23 @@ WRITE_CHARACTERS: Final = 1000
 """Characters of one write, at most 4 bytes each: a pipe that poll(2) reports as writable takes 4096 bytes at once."""
 
 _lost_lines = 0
+
+
+class WithoutWaiting:
+    """Stream that discards what standard error does not accept at once; otherwise as `stream`."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        for start in range(0, len(text), WRITE_CHARACTERS):
+            if is_writable():
+                self._stream.write(text[start : start + WRITE_CHARACTERS])
+                self._stream.flush()
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def write_line(text: str, wait_s: float = 0.0) -> None:

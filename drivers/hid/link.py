@@ -184,16 +184,18 @@ def open_link(options: Options) -> ReportLink:
     fd = open_path(path, options.vendor_id, options.product_id)
     try:
         check_reports(_read_descriptor(fd, path), path, options.reports)
-        if options.through != "thread":
-            return ReportLink(fd, None, path)
-        return make_thread_link(_open_hidapi(path), options, fd)._replace(node=path)
+        device = _open_hidapi(path) if options.through == "thread" else None
     except BaseException:
         os.close(fd)
         raise
+    return ReportLink(fd, None, path) if device is None else make_thread_link(device, options, fd)._replace(node=path)
 
 
 def make_thread_link(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:
-    """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it."""
+    """Return a link through threads for a device that is open in hidapi; `lock_fd` is closed with it.
+
+    Raises RuntimeError if the system has no thread left; both are closed then.
+    """
     report = options.reports.input
     write_timeout_s = min(options.timeout_s, IGNORED_WRENCH_MAX_S)
     threads = ReportThreads(device, report.bytes + (report.id != 0) + exchange.IN_SPARE, write_timeout_s, lock_fd)

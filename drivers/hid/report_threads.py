@@ -77,8 +77,17 @@ class ReportThreads:
         )
         self._count_lock = threading.Lock()
         self._running_count = 2
-        self._reader.start()
-        self._writer.start()
+        threads = [self._reader, self._writer]
+        try:
+            while threads:
+                threads[0].start()
+                del threads[0]
+        except RuntimeError:  # the system has no thread left
+            os.close(self.fd)
+            self._ending.set()
+            for _ in threads:
+                self._finish()
+            raise
 
     @property
     def native_ids(self) -> list[int]:
@@ -131,14 +140,18 @@ class ReportThreads:
         finally:
             with suppress(OSError):  # the driver's end is closed already
                 self._threads_end.shutdown(direction)
-            with self._count_lock:
-                self._running_count -= 1
-                last = self._running_count == 0
-            if last:  # no call of hidapi is in progress any more
-                self._device.close()
-                self._threads_end.close()
-                if self.lock_fd is not None:
-                    os.close(self.lock_fd)
+            self._finish()
+
+    def _finish(self) -> None:
+        """Count a thread as ended; after the last one, close the device."""
+        with self._count_lock:
+            self._running_count -= 1
+            last = self._running_count == 0
+        if last:  # no call of hidapi is in progress any more
+            self._device.close()
+            self._threads_end.close()
+            if self.lock_fd is not None:
+                os.close(self.lock_fd)
 
     def _read(self) -> None:
         hung_write: float | None = None

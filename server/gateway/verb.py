@@ -50,6 +50,8 @@ class TelemetryProcess:
         words += [word for option, value in values.items() if value is not None for word in (option, value)]
         self._command: Final = [sys.executable, "-m", "softfinger.server.cli", "forward", *words]
         self._process = self._start()
+        self._restart_failed = False
+        """A restart failed, and was reported."""
         self.exit_code = 0
         """Exit code after such an error, which the process has printed: wrong options, or an endpoint in use."""
 
@@ -64,9 +66,16 @@ class TelemetryProcess:
         if code in (ConfigError.exit_code, AddressInUse.exit_code):
             self.exit_code = code
         elif code is not None and time.monotonic() - self._started_s > RESTART_S:
-            log.warning("the process that forwards telemetry ended with code %d and was restarted", code)
             self._process.communicate()
-            self._process = self._start()
+            try:
+                self._process = self._start()
+            except OSError as error:  # no file descriptor, process or memory is left
+                if not self._restart_failed:
+                    self._restart_failed = True
+                    log.error("the process that forwards telemetry cannot be started: %s; retrying", error)
+            else:
+                self._restart_failed = False
+                log.warning("the process that forwards telemetry ended with code %d and was restarted", code)
         return self.exit_code == 0
 
     def end(self) -> dict[str, Any]:

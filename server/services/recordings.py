@@ -145,21 +145,21 @@ class Recordings:
             if self._recorder is not None and not self._recorder.recorded.error:
                 raise RecordingError(f"{self._path} is being recorded: stop that first")
             file = self._open(path, folder)
-            if self._recorder is not None:
-                self._ending.append(self._recorder)
             about = describe_daemon(self._rendering, scene_name)
             if self._settings is not None:
                 about["settings"] = self._settings
-            self._path = (folder / path if folder is not None else path).absolute()
-            trouble = partial(self._report_trouble, self._path)
-            self._recorder = Recorder(file, self._fingers, about, trouble, GUARD_NAMES)
-            return self._path
+            path = (folder / path if folder is not None else path).absolute()
+            recorder = Recorder(file, self._fingers, about, partial(self._report_trouble, path), GUARD_NAMES)
+            if self._recorder is not None:
+                self._ending.append(self._recorder)
+            self._recorder, self._path = recorder, path
+            return path
 
     def _open(self, path: Path, folder: Path | None) -> IO[bytes]:
         """Open a new file in another thread; raises RecordingError if this fails or takes longer than OPEN_S."""
         if self._opened is not None and not self._opened.done():
             raise RecordingError(f"{path}: cannot be opened, because the disk of an earlier recording does not answer")
-        opened = self._opened = Future[IO[bytes]]()
+        opened = Future[IO[bytes]]()
 
         def open_file() -> None:
             try:
@@ -168,6 +168,7 @@ class Recordings:
                 opened.set_exception(error)
 
         threading.Thread(target=open_file, name="opening", daemon=True).start()
+        self._opened = opened
         try:
             return opened.result(OPEN_S)
         except TimeoutError:

@@ -108,8 +108,8 @@ class Rendering:
         self.force: Final = Force(unarmed, states or StateMachine(), self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
-        self._started = True
         self.servo.start()
+        self._started = True
 
     def stop(self) -> None:
         self._stopped = True

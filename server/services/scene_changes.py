@@ -32,6 +32,7 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import PLAIN_PERIOD_S, QUIET_S, format_progress
 from softfinger.server.services.base import Worker
 from softfinger.server.signals import call_at_end_of_input
+from softfinger.server.wire.process_link import block_stop_signals
 
 log: Final = logging.getLogger(__name__)
 
@@ -138,14 +139,15 @@ class SceneChanges(Worker):
         with self._changed:
             if self._next is not None or self.closing.is_set():
                 raise _make_superseded_error()
-            compiler = self._compiler = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=errors,
-                text=True,
-                start_new_session=True,  # the daemon handles Ctrl-C
-            )
+            with block_stop_signals():
+                compiler = self._compiler = subprocess.Popen(
+                    [sys.executable, "-P", "-m", __name__],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=errors,
+                    text=True,
+                    start_new_session=True,
+                )
         try:
             assert compiler.stdin is not None and compiler.stdout is not None
             with suppress(BrokenPipeError):

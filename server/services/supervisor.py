@@ -21,7 +21,7 @@ class Supervisor(Worker):
 
     def work(self) -> None:
         watchdog = fault_detection.Watchdog()
-        while self._servo.is_ticking:
+        while self._servo.is_ticking and not self.closing.is_set():
             time.sleep(fault_detection.STALL_POLL_S)
             ticks = self._servo.ticks
             has_force = any(device.info.has_persistent_force for device in self._servo.devices)

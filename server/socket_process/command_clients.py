@@ -65,7 +65,10 @@ class RequestQueue:
 
 
 WAITING_MAX: Final = 64
-"""Requests of a client, or answers to it, in the queue; further answers are dropped, because it does not read them."""
+"""Answers to a client in the queue; further ones are dropped, because it does not read them."""
+UNREAD_MAX: Final = 8
+"""Requests of a client that libzmq receives in advance, of up to REQUEST_MAX bytes each; further ones wait with the
+client."""
 BURST_S: Final = 0.1
 BURST: Final = 100
 """Most requests of a client in BURST_S: a thousand per second, one in each tick of the usual loop. More are busy."""
@@ -98,7 +101,7 @@ class CommandClients:
         options = {
             "maxmsgsize": REQUEST_MAX,
             "sndhwm": WAITING_MAX,
-            "rcvhwm": WAITING_MAX,
+            "rcvhwm": UNREAD_MAX,
             "router_mandatory": 1,
             "router_handover": 1,
         }

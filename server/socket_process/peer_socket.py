@@ -26,6 +26,8 @@ FILES_MAX: Final = 512
 queue."""
 MEMORY_MAX: Final = 1 << 30
 """Limit of writable memory in bytes: a peer can make libzmq allocate without end. Beyond it, the process ends."""
+COMMANDS_MEMORY_MAX: Final = 1 << 28
+"""The same for a process of commands, which stores no messages for subscribers."""
 _EVENT: Final = struct.Struct("=Hi")
 """First frame of a connection event, `zmq_socket_monitor(3)`; `zmq.utils.monitor` imports asyncio, half of the start of
 the process."""
@@ -147,9 +149,9 @@ class PeerSocket:
             self.socket.close()
 
 
-def bound_resources() -> None:
+def bound_resources(memory_max: int = MEMORY_MAX) -> None:
     """Limit the resources that peers can use in this process, since libzmq does not limit them."""
-    for kind, maximum in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, MEMORY_MAX)):
+    for kind, maximum in ((resource.RLIMIT_NOFILE, FILES_MAX), (resource.RLIMIT_DATA, memory_max)):
         with contextlib.suppress(ValueError, OSError):
             soft, hard = resource.getrlimit(kind)
             resource.setrlimit(kind, (maximum if soft < 0 else min(soft, maximum), hard))

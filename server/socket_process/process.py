@@ -35,7 +35,15 @@ from softfinger.server.socket_process.channel_messages import (
 )
 from softfinger.server.socket_process.command_clients import REQUESTS_PER_TURN, CommandClients, RequestQueue
 from softfinger.server.socket_process.force_off import ForceOffCounter, takes_force_off
-from softfinger.server.socket_process.peer_socket import LINGER_MS, KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.peer_socket import (
+    COMMANDS_MEMORY_MAX,
+    LINGER_MS,
+    MEMORY_MAX,
+    KeyLock,
+    PeerSocket,
+    SocketContext,
+    bound_resources,
+)
 from softfinger.server.socket_process.subscribers import Subscribers
 from softfinger.server.socket_process.tick_messages import RowReader, TickEncoder
 
@@ -303,8 +311,6 @@ def drop_priority_when_busy() -> None:
 
 def run_process(channel: Channel) -> None:
     """Run the process for the daemon at the other end, until either ends."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # the daemon sends a last message
-        signal.signal(number, signal.SIG_IGN)
     logging.getLogger().addHandler(_DaemonLogHandler(channel))
     setup = _receive_setup(channel)
     if setup is None:
@@ -312,7 +318,7 @@ def run_process(channel: Channel) -> None:
     has_priority = setup.priority > 0 and request_priority(setup.priority)
     with ExitStack() as files:
         server = SocketServer(channel, setup, files)
-        bound_resources()
+        bound_resources(COMMANDS_MEMORY_MAX if setup.listeners[0].name == "commands" else MEMORY_MAX)
         if has_priority:
             drop_priority_when_busy()
         channel.send(Kind.READY)

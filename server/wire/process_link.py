@@ -11,13 +11,14 @@ import logging
 import math
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from io import FileIO
 from typing import Final, NamedTuple
 
@@ -48,8 +49,20 @@ ERRORS_MAX: Final = 4096
 MODULE: Final = "softfinger.server.socket_process"
 NO_CLIENT: Final = b"\0"
 """Name of no client, which gets no answer."""
+STOP_SIGNALS: Final = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
+"""Signals that the daemon handles, and that may also be sent to all its processes, such as by systemd."""
 Send = Callable[[Kind, bytes, bytes], object]
 """Function that sends a message: kind, key and body."""
+
+
+@contextmanager
+def block_stop_signals() -> Iterator[None]:
+    """Block STOP_SIGNALS in this thread, and so in processes that it starts, from their first instruction on."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class RequestHandlers(NamedTuple):
@@ -155,14 +168,15 @@ class SocketProcess:
             # channel.
             # Standard error in memory: a pipe without a reader would block the process in its last message.
             errors = undo.enter_context(open(os.memfd_create("softfinger-errors"), "r+b", buffering=0))
-            process = subprocess.Popen(
-                [sys.executable, "-m", MODULE, self.name, str(child_end.fileno())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=errors,
-                start_new_session=True,
-                pass_fds=[child_end.fileno(), *self._files],
-            )
+            with block_stop_signals():
+                process = subprocess.Popen(
+                    [sys.executable, "-m", MODULE, self.name, str(child_end.fileno())],
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.DEVNULL,
+                    stderr=errors,
+                    start_new_session=True,
+                    pass_fds=[child_end.fileno(), *self._files],
+                )
             child_end.close()
             undo.pop_all()
         self._started_s, self._received_s = time.monotonic(), math.inf

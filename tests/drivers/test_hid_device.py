@@ -413,6 +413,25 @@ def test_a_failed_calibration_closes_the_device() -> None:
             assert api.closed == 1
 
 
+@pytest.mark.parametrize("refused", ["hid reader", "hid writer"])
+def test_a_device_without_a_thread_is_closed(refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    start = threading.Thread.start
+
+    def refuse(thread: threading.Thread) -> None:
+        if thread.name == refused:
+            raise RuntimeError("can't start new thread")
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    before = len(os.listdir("/proc/self/fd"))
+    fd, end = ends()
+    api = Api(fd)
+    with end, pytest.raises(RuntimeError):
+        make_thread_link(api, rig_options("woodenhaptics-2019"), os.open(os.devnull, os.O_RDONLY))
+    until(lambda: len(os.listdir("/proc/self/fd")) == before)
+    assert api.closed == 1
+
+
 @pytest.mark.parametrize("cause", ["unplugged", "read", "write"])
 def test_a_disconnected_device_is_lost(cause: str) -> None:
     with ThreadedBoard() as linked:

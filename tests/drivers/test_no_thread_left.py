@@ -84,18 +84,30 @@ def test_a_device_is_opened_only_with_threads_for_its_stop(monkeypatch: pytest.M
 
 
 PROGRAM = """
+import threading
 from softfinger.server import cli
 from softfinger.server.verbs import shipped
 
-def run(args):
-    raise RuntimeError("can't start new thread")
+def refuse(_):
+    raise {}
 
-shipped.run = run
+{} = refuse
 raise SystemExit(cli.main(["scenes"]))
 """
 
 
-def test_a_verb_without_threads_ends_with_an_error() -> None:
-    process = run_program([sys.executable, "-c", PROGRAM])
+NO_THREAD = """RuntimeError("can't start new thread")"""
+
+
+@pytest.mark.parametrize(
+    ("error", "refused", "reason"),
+    [
+        (NO_THREAD, "shipped.run", "no thread can be started"),
+        (NO_THREAD, "threading.Thread.start", "no thread can be started"),
+        ("ImportError('a.so: failed to map segment from shared object')", "shipped.run", "out of memory"),
+    ],
+)
+def test_a_verb_without_threads_or_memory_ends_with_an_error(error: str, refused: str, reason: str) -> None:
+    process = run_program([sys.executable, "-c", PROGRAM.format(error, refused)])
     assert process.returncode == 11
-    assert process.stderr.startswith("softfinger: the system refused: no thread can be started")
+    assert process.stderr.startswith(f"softfinger: the system refused: {reason}")

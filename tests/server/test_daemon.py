@@ -291,7 +291,7 @@ def test_a_failing_publisher_or_relay_stops_the_servo(failing, error, faulty, mo
 
 
 LEFT_BEHIND = """
-import os, threading
+import contextlib, os, threading
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
 from softfinger.server.loop.servo_thread import ServoThread
@@ -301,6 +301,8 @@ def once():
     with Daemon(rig, scene, 50) as running:
         running.start()
         running.wait(60.0)
+    with contextlib.suppress(TypeError):  # an error after the device is open
+        Daemon(rig, scene, sinks=None)
     return threading.active_count(), len(os.listdir("/proc/self/fd"))
 print(once() == once() == once())
 """

@@ -8,6 +8,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Self
 
 import msgpack
@@ -25,6 +26,8 @@ from zmq.utils.monitor import recv_monitor_message
 
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.app import Daemon
+from softfinger.server.gateway import verb
+from softfinger.server.gateway.addresses import Addresses
 from softfinger.server.gateway.forward import CLIENTS_MAX, Commanders
 from softfinger.server.keys import ClientKeys, client_keys, make_pair
 from softfinger.server.socket_process.peer_socket import SocketContext
@@ -221,6 +224,20 @@ def test_invalid_forwarding_options_are_refused(key_ring, words, message, monkey
     monkeypatch.chdir(key_ring.folder)
     result = called("forward", *words)
     assert result.returncode == 2 and message in result.stderr and result.stderr.count("\n") == 1, result.stderr
+
+
+def test_a_gateway_without_file_descriptors_continues_and_retries(monkeypatch: pytest.MonkeyPatch, caplog: Any) -> None:
+    monkeypatch.setattr(verb, "RESTART_S", 0.0)
+    args = SimpleNamespace(to=None, keys=None, readers=None, server_key=None, lsl=False, quiet=True)
+    forwarded = verb.TelemetryProcess(args, Addresses("none", None))
+    forwarded._process.kill()
+    forwarded._process.wait()
+    with monkeypatch.context() as refused:
+        refused.setattr(forwarded, "_command", ["/dev/null/no program"])
+        assert forwarded.keep_running() and forwarded.keep_running()
+    assert forwarded.keep_running() and forwarded._process.poll() is None
+    forwarded.end()
+    assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
 
 def test_a_client_beyond_the_limit_replaces_the_one_that_was_silent_longest() -> None:

@@ -1,5 +1,6 @@
 """Ticks in shared memory: readers in Python and C, slow and killed readers, and files of a killed daemon."""
 
+import gc
 import os
 import re
 import secrets
@@ -7,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -228,3 +230,17 @@ def test_the_daemon_runs_without_shared_memory(tmp_path, monkeypatch, caplog):
         out = np.empty((16, RECORD_SIZE))
         assert publisher.tap.take(out) == 10
     assert "local readers" in caplog.text
+
+
+def test_a_relay_that_cannot_start_leaves_no_file(tmp_path, monkeypatch):
+    def refuse(thread):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(memory, "FOLDER", tmp_path)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    gc.collect()
+    before = set(os.listdir("/proc/self/fd"))
+    with pytest.raises(RuntimeError):
+        Publisher("tcp://127.0.0.1:*")
+    gc.collect()
+    assert set(os.listdir("/proc/self/fd")) <= before and not any(tmp_path.iterdir())

@@ -7,6 +7,7 @@ still the same one, has not stored the payload, and serves the next peer.
 import contextlib
 import os
 import random
+import resource
 import signal
 import socket
 import struct
@@ -33,7 +34,7 @@ from websockets.frames import CloseCode
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from softfinger.server.socket_process.peer_socket import SocketContext
+from softfinger.server.socket_process.peer_socket import COMMANDS_MEMORY_MAX, SocketContext
 from softfinger.server.socket_process.subscribers import TOPICS_MAX, Subscribers
 from softfinger.server.viewer.door.access import BROWSERS_MAX
 from softfinger.server.wire.client import Subscription
@@ -305,8 +306,9 @@ def test_raw_peers_delay_no_tick_and_no_request(peers: Peers) -> None:
             future.result()
     assert (np.diff(ticks) == 1).all() and is_serving("commands", address)
     assert read_peak_memory(daemon) - before < GROWN_MAX
-    # frames without end fill the process up to its limit of 1 GiB; if libzmq ends it there, the daemon restarts it
-    peers.owners["receiver"] = find_child(daemon, CHILDREN["receiver"])
+    # frames without end fill the process up to its limit; if libzmq ends it there, the daemon restarts it
+    receiver = peers.owners["receiver"] = find_child(daemon, CHILDREN["receiver"])
+    assert resource.prlimit(receiver, resource.RLIMIT_DATA)[0] == COMMANDS_MEMORY_MAX
 
 
 @pytest.mark.parametrize(

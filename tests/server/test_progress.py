@@ -69,6 +69,20 @@ def test_log_and_progress_never_share_a_line(columns: int) -> None:
     assert screen.lines[-2:] == ["result", ""]
 
 
+STOPPED = """
+import termios
+from softfinger.server.progress import show_counter
+with show_counter() as show:
+    show("ticks")
+    termios.tcflow(2, termios.TCOOFF)  # as Ctrl-S
+"""
+
+
+def test_a_terminal_that_accepts_nothing_does_not_block_the_end() -> None:
+    with on_terminal([sys.executable, "-c", STOPPED]) as (process, _):
+        assert process.wait(30) == 0
+
+
 def test_lines_without_a_terminal_show_the_share(monkeypatch, capsys):
     monkeypatch.setattr(display, "QUIET_S", 1e-3)
     monkeypatch.setattr(display, "PLAIN_PERIOD_S", 1e-3)

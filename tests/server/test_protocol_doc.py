@@ -24,7 +24,7 @@ from softfinger.server.services.command_handlers import EVENT_BYTES_MAX
 from softfinger.server.services.monitoring import make_event_fields
 from softfinger.server.socket_process.channel_messages import REQUEST_MAX
 from softfinger.server.socket_process.command_clients import BURST, BURST_S, WAITING_MAX
-from softfinger.server.socket_process.peer_socket import FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
+from softfinger.server.socket_process.peer_socket import COMMANDS_MEMORY_MAX, FILES_MAX, HANDSHAKE_MS, MEMORY_MAX
 from softfinger.server.socket_process.process import QUIET_S
 from softfinger.server.socket_process.subscribers import SUBSCRIPTION_MAX
 from softfinger.server.wire import commands, envelope, protocol
@@ -160,7 +160,7 @@ def test_numbers_in_the_text_equal_those_of_the_code():
     assert f"{BACKLOG} messages are queued" in page and f"if none was sent for {QUIET_S:g} s" in page
     assert f"a frame of {SUBSCRIPTION_MAX} bytes, {HANDSHAKE_MS / 1000.0:g} s for the handshake" in page
     assert f"About {FILES_MAX - 26} connections" in page  # less files of the publisher itself
-    assert MEMORY_MAX == 1 << 30 and "than 1 GiB" in page
+    assert (MEMORY_MAX, COMMANDS_MEMORY_MAX) == (1 << 30, 1 << 28) and "than 1 GiB (command process: 256 MiB)" in page
     assert f"at most {LINGER_S:g} s after its last message" in page and f"once per {LOG_PERIOD_S:g} s" in page
     assert f"{REQUEST_MAX} bytes, {envelope.NODES_MAX} values and a depth of {envelope.DEPTH_MAX}" in page
     assert f"may send {BURST} requests per {BURST_S:g} s" in page and f"{WAITING_MAX} unread answers are queued" in page

@@ -271,6 +271,12 @@ def test_a_killed_publisher_is_restarted(sockets, tmp_path):
     assert summarize(tmp_path / "all.mcap")["ticks"] == ticks
 
 
+def test_a_signal_to_all_processes_does_not_end_a_publisher_that_starts(sockets):
+    with Publisher("tcp://127.0.0.1:*") as publisher:
+        os.kill(publisher.pids["telemetry"], signal.SIGTERM)
+        assert sockets(publisher.endpoint, b"schema").recv_multipart()
+
+
 def test_a_publisher_that_cannot_start_ends_the_run(monkeypatch):
     monkeypatch.setattr(process_link, "MODULE", "softfinger.server.no_such_module")
     with make_daemon() as daemon:

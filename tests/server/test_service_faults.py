@@ -132,6 +132,10 @@ def test_a_disk_that_does_not_answer_is_an_error_and_blocks_no_request(gone, mon
     directory = SimpleNamespace(rig=SimpleNamespace(recording=SimpleNamespace(directory=tmp_path)))
     service = recordings.Recordings(directory, [""], print)
     with ends_within(60):
+        with monkeypatch.context() as no_threads:
+            no_threads.setattr(threading, "Thread", None)
+            with pytest.raises(TypeError):
+                service.begin("a.mcap", "a scene")
         for refusal in ("a.mcap: cannot be opened, because its disk", "a.mcap: cannot be opened, because the disk"):
             with pytest.raises(RecordingError, match=f"^{refusal}"):
                 service.begin("a.mcap", "a scene")

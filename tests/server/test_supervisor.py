@@ -66,6 +66,13 @@ def test_a_supervisor_that_fails_ends_the_run() -> None:
     assert "gone" in str(error) and "a stall of the servo would not be detected" in str(error)
 
 
+def test_a_supervisor_ends_before_a_servo_that_never_starts() -> None:
+    supervisor = make_supervisor(Servo(lambda: 0, is_armed=False), pytest.fail)
+    supervisor.start()
+    supervisor.stop()
+    assert not supervisor._thread.is_alive()
+
+
 def test_a_stall_is_reported_and_every_device_stopped_if_anything_fails() -> None:
     calls: list[str] = []
     ended = threading.Event()

@@ -10,6 +10,7 @@ import html
 import logging
 import os
 import secrets
+import select
 import shlex
 import shutil
 import signal
@@ -135,14 +136,12 @@ class PageProcess:
         """Return the printed address; empty if the page exits without one or is killed after START_TIMEOUT_S."""
         process = self._process
         assert process.stdout is not None
-        timer = threading.Timer(START_TIMEOUT_S, process.kill)
-        timer.daemon = True
-        timer.start()
-        try:
-            with process.stdout as text:
-                return text.readline().strip()
-        finally:
-            timer.cancel()
+        with process.stdout as text:
+            poller = select.poll()
+            poller.register(text, select.POLLIN)
+            if not poller.poll(START_TIMEOUT_S * 1000.0):
+                process.kill()
+            return text.readline().strip()
 
     def supervise(self) -> None:
         """Restart a crashed page, or report its exit once."""
@@ -177,7 +176,8 @@ class PageProcess:
             return False
         self._restart_failed = False
         self._restarts += 1
-        threading.Thread(target=self._read_new_address, name="page", daemon=True).start()
+        with suppress(RuntimeError):  # no thread is left: a new address, which is rare, is not logged
+            threading.Thread(target=self._read_new_address, name="page", daemon=True).start()
         return True
 
     def _read_new_address(self) -> None:

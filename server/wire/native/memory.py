@@ -91,7 +91,7 @@ def make_memory(capacity: int, width: int) -> RingMemory:
         remove_stale_files()
         fd, name = _create_locked()
         try:
-            words = _allocate(fd, size)
+            words, reading = _allocate(fd, size)
         except BaseException:
             (FOLDER / name).unlink(missing_ok=True)
             os.close(fd)
@@ -99,17 +99,17 @@ def make_memory(capacity: int, width: int) -> RingMemory:
     except OSError as error:
         log.warning("telemetry: local readers cannot use shared memory: %s: %s", FOLDER, error.strerror)
         fd, name = os.memfd_create("softfinger"), ""
-        words = _allocate(fd, size)
+        words, reading = _allocate(fd, size)
     words[_LAYOUT], words[_CAPACITY], words[_WIDTH] = LAYOUT, capacity, width
     words[_MAGIC] = MAGIC
-    return RingMemory(_as_broadcast(words), words, name, fd, os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC))
+    return RingMemory(_as_broadcast(words), words, name, fd, reading)
 
 
-def _allocate(fd: int, size: int) -> NDArray[np.int64]:
-    """Return the given number of bytes of a new file, as int64."""
+def _allocate(fd: int, size: int) -> tuple[NDArray[np.int64], int]:
+    """Return the given number of bytes of a new file, as int64, and the same file opened read-only."""
     # Allocated now: if the system had no room, a later write would crash the process.
     os.posix_fallocate(fd, 0, size)
-    return map_file(fd, size)
+    return map_file(fd, size), os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC)
 
 
 def _create_locked() -> tuple[int, str]:
@@ -146,6 +146,11 @@ def remove(memory: RingMemory) -> None:
     """Notify readers of the end, and remove the name; readers that have mapped the memory can still read it."""
     memory.words[_ENDED] = 1
     wake_readers_from_python(memory.broadcast)
+    release(memory)
+
+
+def release(memory: RingMemory) -> None:
+    """Remove the name and close the files; without a compiled kernel, and so also after an interrupted compilation."""
     if memory.name:
         (FOLDER / memory.name).unlink(missing_ok=True)
     os.close(memory.fd)

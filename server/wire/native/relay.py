@@ -12,6 +12,7 @@ import os
 import threading
 import weakref
 from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import Any, Final, NamedTuple, Protocol
 
 import numba
@@ -25,7 +26,7 @@ from softfinger.server.loop.eventfd import poll_eventfd, reset_eventfd, wait_for
 from softfinger.server.loop.rings import Feed, make_ring, take
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows, write_row
-from softfinger.server.wire.native.memory import make_memory, remove, wake_readers, wake_readers_from_python
+from softfinger.server.wire.native.memory import make_memory, release, remove, wake_readers, wake_readers_from_python
 
 log: Final = logging.getLogger(__name__)
 
@@ -182,27 +183,36 @@ class Relay:
 
     def __init__(self, fingers: int) -> None:
         width = fingers * RECORD_SIZE
-        bell, self.bell = os.eventfd(0), os.eventfd(0)
-        self.memory: Final = make_memory(CAPACITY_TICKS, width)
-        self._state: Final = RelayState(
-            self.memory.broadcast,
-            self.bell,
-            bell,
-            np.array([0, -1, 0, 0, 0, 0, 0, 0]),
-            np.empty((ROWS, width)),
-            np.zeros(fingers + 1),
-            np.full(1, -np.inf),
-        )
-        self._file = np.zeros(1, np.int64)
-        self._idle_feed: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), os.eventfd(0))
-        """Ring on which the thread sleeps while there is no servo."""
-        self._asleep_on = self._idle_feed.wake_fd
-        self._source: RecordSource | None = None
-        self._finished, self._failed, self._closing = (threading.Event() for _ in range(3))
-        self.tap: Final = Tap(self._state.readers, bell, self._finished, self._failed)
-        self._compile()
-        self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
-        self._thread.start()
+        with ExitStack() as undo:
+            self.memory: Final = make_memory(CAPACITY_TICKS, width)
+            undo.callback(release, self.memory)
+            self._files: Final = undo.enter_context(ExitStack())
+            self.bell, bell, idle = self._open_eventfd(), self._open_eventfd(), self._open_eventfd()
+            self._state: Final = RelayState(
+                self.memory.broadcast,
+                self.bell,
+                bell,
+                np.array([0, -1, 0, 0, 0, 0, 0, 0]),
+                np.empty((ROWS, width)),
+                np.zeros(fingers + 1),
+                np.full(1, -np.inf),
+            )
+            self._file = np.zeros(1, np.int64)
+            self._idle_feed: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), idle)
+            """Ring on which the thread sleeps while there is no servo."""
+            self._asleep_on = self._idle_feed.wake_fd
+            self._source: RecordSource | None = None
+            self._finished, self._failed, self._closing = (threading.Event() for _ in range(3))
+            self.tap: Final = Tap(self._state.readers, bell, self._finished, self._failed)
+            self._compile()
+            self._thread = threading.Thread(target=self._run, name="telemetry", daemon=True)
+            self._thread.start()
+            undo.pop_all()
+
+    def _open_eventfd(self) -> int:
+        fd = os.eventfd(0)
+        self._files.callback(os.close, fd)
+        return fd
 
     def _compile(self) -> None:
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
@@ -243,8 +253,7 @@ class Relay:
         self._thread.join(JOIN_S)
         remove(self.memory)
         if not self._thread.is_alive():
-            for file in (self._idle_feed.wake_fd, self._state.bell_fd, self.bell):
-                os.close(file)
+            self._files.close()
 
     def _call(self) -> None:
         """Make the thread return to Python. Only one thread at a time may call this."""
