@@ -13,6 +13,7 @@ from typing import IO, Annotated, Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.files import make_write_error
 from softfinger.config.words import format_value
 from softfinger.drivers.closeable import Closeable
 
@@ -20,6 +21,8 @@ Entry = dict[str, Any]
 NUMBER: Final = "entry"
 """Key of the number of an entry in the file, from 1. Files of earlier versions have none."""
 RESTORE_REMEDY: Final = "restore the file from a copy"
+REPEAT_REMEDY: Final = "earlier answers are stored; correct it and repeat the command"
+"""Remedy if a file of a session cannot be written."""
 _DECODER: Final = msgspec.json.Decoder(dict)
 JSON_ERRORS: Final = msgspec.DecodeError, UnicodeDecodeError, RecursionError
 """Errors of the decoder for damaged bytes."""
@@ -104,7 +107,7 @@ class Journal(MemoryJournal, Closeable):
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise make_write_error(self.path, error) from error
+            raise make_write_error(self.path, error, REPEAT_REMEDY) from error
         super().write(kind, **values)
 
     def close(self) -> None:
@@ -180,10 +183,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def make_write_error(path: Path, error: OSError) -> ConfigError:
-    """Return the error for a file of a session that the disk did not accept."""
-    return ConfigError(
-        f"{path}: cannot be written: {error.strerror}: earlier answers are stored; correct it and repeat the command"
-    )

@@ -21,7 +21,7 @@ from helpers.processes import COMMAND
 from PIL import Image
 from test_trial_order import make_tables
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, Exhausted
 from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, FOLDERS, list_names
 from softfinger.server import cli
@@ -167,7 +167,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
         journal.write("begun", trial=1)
         with (
             limit_file_size(5, path),
-            pytest.raises(ConfigError, match="cannot be written: File too large: earlier answers are stored"),
+            pytest.raises(Exhausted, match="cannot be written: File too large: earlier answers are stored"),
         ):
             journal.write("done", trial=1)
         assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
@@ -183,7 +183,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     rows = [{"tick": tick} for tick in range(1000)]
     with (
         limit_file_size(100, tmp_path / "experiment.json"),
-        pytest.raises(ConfigError, match="cannot be written: File too"),
+        pytest.raises(Exhausted, match="cannot be written: File too"),
     ):
         folder.ticks(1, 1, rows)
     assert not list(table.parent.iterdir())
@@ -316,8 +316,8 @@ def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "figures" / "numbers.csv").touch()
     with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
         result = called("figure", str(tmp_path))
-    fault = f"{tmp_path / 'figures'}: the figures cannot be written: File too large: make room, or name another folder"
-    assert result.returncode == ConfigError.exit_code and fault in result.stderr
+    fault = f"{tmp_path / 'figures'}: cannot be written: File too large: make room, or name another folder"
+    assert result.returncode == Exhausted.exit_code and fault in result.stderr
 
 
 def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) -> None:
