@@ -146,7 +146,7 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(finished: FinishedSe
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): use another folder"):
             finished.experiment.run(finished.folder, participant)
-    finished.write(*(line.replace(b'"dry_run":true', b'"dry_run":false') for line in finished.lines))
+    finished.write(re.sub(rb'"dry_run":true(.*),"crc32":\d+', rb'"dry_run":false\1', b"".join(finished.lines)))
     with pytest.raises(ConfigError, match="answers of participants: use another folder"):
         finished.run()
 
@@ -277,8 +277,11 @@ def test_a_journal_may_end_with_zeros_after_a_power_failure(finished: FinishedSe
     ],
 )
 def test_an_edited_answer_is_refused(old: str, new: str, message: str, finished: FinishedSession) -> None:
-    text = finished.journal.read_text()
-    finished.journal.write_text(text.replace('"right":false', '"right":true').replace(old, new))
+    text = finished.journal.read_text().replace('"right":false', '"right":true').replace(old, new)
+    finished.journal.write_text(text)
+    with pytest.raises(ConfigError, match=r"journal\.jsonl: line 3: 'done' of trial 1 was edited later: restore the"):
+        load(finished.folder)
+    finished.journal.write_text(re.sub(r',"crc32":\d+', "", text))
     with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: {message}.*: restore the file from a copy"):
         load(finished.folder)
 
@@ -337,7 +340,7 @@ def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) ->
 
 
 def test_a_journal_of_an_earlier_version_is_continued(finished: FinishedSession) -> None:
-    finished.write(*(re.sub(rb'"entry":\d+,', b"", line) for line in finished.lines))
+    finished.write(*(re.sub(rb'"entry":\d+,|,"crc32":\d+', b"", line) for line in finished.lines))
     cut_journal(finished.journal.parent, 9)
     assert [row["answer"] for row in finished.run()] == [row["answer"] for row in finished.rows]
     journal = finished.journal.read_bytes()
