@@ -81,7 +81,8 @@ def write_new_file(path: str | Path) -> Iterator[IO[bytes]]:
             error.filename = str(path)
         raise
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # none, or on a disk that became read-only
+            part.unlink()
 
 
 def make_write_error(name: str | Path, error: OSError, remedy: str) -> HapticError:

@@ -175,8 +175,8 @@ class Ledger:
         if not isinstance(error, PermissionError):
             return make_write_error(self._resolve(path), error, "correct it and repeat the command")
         return ConfigError(
-            f"{self._resolve(path)} may not be changed by this user ({error.strerror}): an installation for all users "
-            "needs root: use sudo, or omit --system to install for this user"
+            f"{self._resolve(path)} may not be changed by this user ({error.strerror}): use sudo, or omit --system to "
+            "install for this user; without --system the folder must belong to this user"
         )
 
     def _resolve(self, path: Path) -> Path:

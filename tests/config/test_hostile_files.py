@@ -252,6 +252,8 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
             write_blocks(path, [""], [some_records(100)[:, None]])
         with pytest.raises(OSError, match=r"File too large: .*o\.csv"), files.write_new_file(path) as file:
             file.write(bytes(2000))
+        with pytest.raises(OSError, match=r"No such file .*no/o\.csv"), files.write_new_file(tmp_path / "no" / "o.csv"):
+            pass
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
