@@ -16,9 +16,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Final
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, Exhausted, HapticError
 
 LINKS_MAX: Final = 40
+FULL_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Reasons for which a disk accepts no more data: no room, the quota of the user, the limit of a file's size."""
 _KINDS: Final = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a disk"}
 
 
@@ -70,13 +72,23 @@ def write_new_file(path: str | Path) -> Iterator[IO[bytes]]:
         _check_kind(os.lstat(target).st_mode, "replaced")
     part = target.with_name(f".{secrets.token_hex(8)}.part")
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    fd = os.open(part, flags, 0o666)
     try:
-        with open(fd, "w+b") as file:
+        with open(os.open(part, flags, 0o666), "w+b") as file:
             yield file
         os.replace(part, target)
+    except OSError as error:
+        if error.filename in (None, str(part)):  # none: a refused write
+            error.filename = str(path)
+        raise
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # none, or on a disk that became read-only
+            part.unlink()
+
+
+def make_write_error(name: str | Path, error: OSError, remedy: str) -> HapticError:
+    """Return the error for a file that cannot be written: Exhausted if the disk is full, otherwise ConfigError."""
+    kind = Exhausted if error.errno in FULL_DISK else ConfigError
+    return kind(f"{name}: cannot be written: {error.strerror or error}: {remedy}")
 
 
 def open_recording(path: str | Path, folder: str | Path | None = None) -> IO[bytes]:

@@ -100,13 +100,13 @@ def read_public(path: str | Path) -> bytes:
 def read_pair(path: str | Path) -> KeyPair:
     """Return the pair of a secret file; raises ConfigError if it has none or if other users may read it."""
     keys, mode = _read(path)
+    if "secret" not in keys:
+        raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
     if mode & _OTHERS_ACCESS:
         raise ConfigError(
             f"{path}: a secret key that other users can read (mode {stat.S_IMODE(mode):o}): chmod 600 it, and create "
             "new keys if another user has read it"
         )
-    if "secret" not in keys:
-        raise ConfigError(f"{path}: a public key: the secret one is in the same folder, in a file .key_secret")
     if zmq.curve_public(keys["secret"]) != keys["public"]:
         raise ConfigError(f"{path}: its public key does not belong to its secret key: create new keys")
     return KeyPair(keys["public"], keys["secret"])

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError, RecordingError
-from softfinger.config.files import open_input, write_new_file
+from softfinger.config.files import make_write_error, open_input, write_new_file
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.mcap_messages import iter_mcap_messages
 from softfinger.drivers.system import discovery
@@ -40,7 +40,7 @@ LEVEL_STEP: Final = 10
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the archive, completely or not at all; returns 0. Raises ConfigError if it cannot be written."""
+    """Write the archive, completely or not at all; returns 0. Raises the errors of `make_write_error`."""
     check_seconds(args.seconds)
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         with write_new_file(args.out) as file:
             archive(file, parts)
     except OSError as error:
-        raise ConfigError(f"--out {args.out}: cannot be written: {error.strerror or error}: name another") from error
+        raise make_write_error(f"--out {args.out}", error, "choose another file") from error
     log.info("%s has %s: look at it before you send it", args.out, ", ".join(parts))
     return 0
 

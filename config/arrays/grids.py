@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.files import open_input, read_input
+from softfinger.config.words import format_value
 
 
 def open_npz(file: IO[bytes]) -> NpzFile:
@@ -134,7 +135,8 @@ def _read_csv(path: str | Path) -> NDArray[Any]:
         try:
             grid[row] = [float(cell) for cell in cells]
         except ValueError as error:
-            raise ValueError(f"line {number}: {error}") from error
+            text = format_value(line.strip()[:40])
+            raise ValueError(f"line {number}: {text}: must be numbers with points, and commas between them") from error
     return grid
 
 
@@ -156,12 +158,16 @@ def _read_pgm(path: str | Path) -> NDArray[Any]:
 def _read_png(path: str | Path) -> NDArray[Any]:
     """Return the grey levels as stored in the file, 0 to 255 or to 65535."""
     try:
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
     except ImportError as missing:
         raise ValueError(
             f"Pillow is not installed ({missing}): pip install 'softfinger[pictures]', or save it as grey .pgm"
         ) from missing
-    with Image.open(io.BytesIO(read_input(path, BYTES_MAX)), formats=["PNG"]) as picture:
+    try:
+        opened = Image.open(io.BytesIO(read_input(path, BYTES_MAX)), formats=["PNG"])
+    except UnidentifiedImageError as error:  # its text has the address of an object
+        raise ValueError("is not a PNG picture") from error
+    with opened as picture:
         columns, rows = picture.size
         if columns * rows > limits.GRID_VALUES.high:  # before decompression
             raise ValueError(

@@ -26,11 +26,11 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import write_new_file
+from softfinger.config.files import make_write_error, write_new_file
 from softfinger.config.load import build, describe
 from softfinger.config.materials import flatten_entry
 from softfinger.config.words import format_value
-from softfinger.server.experiment.journal import JSON_ERRORS, RESTORE_REMEDY, Entry, make_write_error, read
+from softfinger.server.experiment.journal import JSON_ERRORS, REPEAT_REMEDY, RESTORE_REMEDY, Entry, read
 from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.experiment.trial_order import Condition, PlannedTrial, list_conditions, plan_trials
 
@@ -64,12 +64,12 @@ class ParticipantFolder:
     def begin(self) -> None:
         """Write the missing files: description of the experiment, design and order.
 
-        Raises ConfigError if a file cannot be written, or exists with another content.
+        Raises ConfigError if a file exists with another content, or the errors of `make_write_error`.
         """
         try:
             (self.participant_dir / "trials").mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise make_write_error(self.participant_dir / "trials", error) from error
+            raise make_write_error(self.participant_dir / "trials", error, REPEAT_REMEDY) from error
         for path, text in self._texts.items():
             if not path.exists():
                 _write(path, text)
@@ -226,7 +226,7 @@ def _write(path: Path, data: bytes) -> None:
         with write_new_file(path) as file:
             file.write(data)
     except OSError as error:
-        raise make_write_error(path, error) from error
+        raise make_write_error(path, error, REPEAT_REMEDY) from error
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from softfinger.config.errors import CommandRefused, ConfigError
 from softfinger.drivers import quaternions
 from softfinger.server.experiment.schema import SINGLE_FINGER, ExperimentFile
 from softfinger.server.remote import Client
@@ -21,11 +22,24 @@ class Hands:
         self._client, self._experiment = client, experiment
         self._is_led: Final = dict[str, bool]()
         self.update()
+        self._check_paths()
 
     def update(self) -> None:
         """Ask the daemon which hands can be led, after a change of the scene."""
         self._is_led.clear()
         self._is_led.update({finger["name"]: finger["led"] for finger in self._client.describe()["fingers"]})
+
+    def _check_paths(self) -> None:
+        """Set all goals, the first of a path last. Raises ConfigError if a device cannot reach or sense one."""
+        motion, start = self._experiment.motion, self._experiment.trial.start_m
+        for name in (name for name, is_led in self._is_led.items() if is_led):
+            finger = name or SINGLE_FINGER
+            key = f"motion.{finger}" if motion.get(finger) else "trial.start_m"
+            for elapsed_s, x, y, z in reversed(motion.get(finger) or ([(0.0, *start)] if start else [])):
+                try:
+                    self._lead(name, (x, y, z), elapsed_s)
+                except CommandRefused as error:
+                    raise ConfigError(f"{key}: {error}") from error
 
     def lead_to_start(self) -> dict[str, tuple[Point, Quaternion | None]]:
         """Lead hands to the start of their path, or of the trial; return these positions, m, and orientations."""

@@ -1,6 +1,6 @@
 """Journal of a session, one event per line, synchronised to disk before the session continues.
 
-A power failure loses no answer. Each line has its number, so that a line lost later is noticed.
+A power failure loses no answer. Each line has its number and a checksum: lines lost or edited later are noticed.
 """
 
 from __future__ import annotations
@@ -9,17 +9,24 @@ import fcntl
 import os
 from pathlib import Path
 from typing import IO, Annotated, Any, Final
+from zlib import crc32
 
 import msgspec
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.files import make_write_error
 from softfinger.config.words import format_value
 from softfinger.drivers.closeable import Closeable
 
 Entry = dict[str, Any]
 NUMBER: Final = "entry"
-"""Key of the number of an entry in the file, from 1. Files of earlier versions have none."""
+CHECKSUM: Final = "crc32"
+"""Keys of the number of an entry in the file, from 1, and of the checksum of the text before this key. Files of earlier
+versions have none."""
+_CHECKSUM_KEY: Final = f',"{CHECKSUM}":'.encode()
 RESTORE_REMEDY: Final = "restore the file from a copy"
+REPEAT_REMEDY: Final = "earlier answers are stored; correct it and repeat the command"
+"""Remedy if a file of a session cannot be written."""
 _DECODER: Final = msgspec.json.Decoder(dict)
 JSON_ERRORS: Final = msgspec.DecodeError, UnicodeDecodeError, RecursionError
 """Errors of the decoder for damaged bytes."""
@@ -96,7 +103,8 @@ class Journal(MemoryJournal, Closeable):
     def write(self, kind: str, **values: Any) -> None:
         """Append an entry, which is on the disk when this returns. If it does not fit there, the file is unchanged."""
         numbered = {"kind": kind, NUMBER: len(self.entries) + 1, **values}
-        line, descriptor = msgspec.json.encode(numbered) + b"\n", self._file.fileno()
+        values_text = msgspec.json.encode(numbered).removesuffix(b"}")
+        line, descriptor = values_text + b"%s%d}\n" % (_CHECKSUM_KEY, crc32(values_text)), self._file.fileno()
         before = os.fstat(descriptor).st_size
         try:
             while line:  # an almost full disk accepts a part, and refuses the next write
@@ -104,7 +112,7 @@ class Journal(MemoryJournal, Closeable):
             os.fsync(descriptor)
         except OSError as error:
             os.ftruncate(descriptor, before)
-            raise make_write_error(self.path, error) from error
+            raise make_write_error(self.path, error, REPEAT_REMEDY) from error
         super().write(kind, **values)
 
     def close(self) -> None:
@@ -121,10 +129,10 @@ class Journal(MemoryJournal, Closeable):
 
 
 def read(path: Path) -> list[Entry]:
-    """Return the entries of a journal without their numbers; empty if there is no file. Truncated lines are skipped.
+    """Return the entries of a journal without numbers and checksums; empty if there is no file. Skip truncated lines.
 
     A crash truncates the last line, so it is at the end or followed by the entry `started` of the resumed session.
-    Raises ConfigError if any other line is invalid, lacks a key, or if an entry is missing.
+    Raises ConfigError if any other line is invalid, was edited, lacks a key, or if an entry is missing.
     """
     if not path.exists():
         return []
@@ -144,6 +152,10 @@ def read(path: Path) -> list[Entry]:
             raise ConfigError(f"{path}: line {damaged} is not an entry of a journal: {RESTORE_REMEDY}")
         damaged = 0
         location = f"{path}: line {number}"
+        if entry.pop(CHECKSUM, None) not in (None, crc32(line.rpartition(_CHECKSUM_KEY)[0])):
+            fault = f"{_describe([entry])} was edited later"
+            remedy = f'or remove the key "{CHECKSUM}" from the line to continue with these values'
+            raise ConfigError(f"{location}: {fault}: {RESTORE_REMEDY}, {remedy}")
         _check_number(location, entry.pop(NUMBER, None), entry, entries)
         try:
             kind = msgspec.convert(entry, _Entry).kind
@@ -180,10 +192,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def make_write_error(path: Path, error: OSError) -> ConfigError:
-    """Return the error for a file of a session that the disk did not accept."""
-    return ConfigError(
-        f"{path}: cannot be written: {error.strerror}: earlier answers are stored; correct it and repeat the command"
-    )

@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta
 
 from softfinger.config import limits
-from softfinger.config.fields import Complaint, Coordinate, Point, Table, doc, is_usable, sized, within
+from softfinger.config.fields import Complaint, Coordinate, Point, Table, doc, is_complete, is_usable, sized, within
 from softfinger.config.limits import Range
 from softfinger.server.experiment.schema_parts import (
     TEXT,
@@ -113,9 +113,11 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
     screen: Screen = Screen()
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.task, self.procedure) and self.task.kind != "compare" and self.procedure.kind != "constant":
-            fault = f"must be constant: answers of {self.task.kind} are not right or wrong"
-            yield "procedure.kind", self.procedure.kind, fault
+        task, procedure = self.task, self.procedure
+        is_known = is_usable(task, procedure) and is_usable(task.kind, procedure.kind)
+        if is_known and task.kind != "compare" and procedure.kind != "constant":
+            fault = f"must be constant: answers of {task.kind} are not right or wrong"
+            yield "procedure.kind", procedure.kind, fault
         yield from self._check_participants()
         if is_usable(self.motion, self.turn):
             for finger in self.turn.keys() - self.motion.keys():
@@ -135,9 +137,14 @@ class ExperimentFile(Table, frozen=True, kw_only=True):
             if math.prod(len(factor.levels) for factor in factors if is_usable(factor.levels)) > LEVELS.high:
                 names = [factor.name for factor in factors]
                 yield "factor", names, f"has more than {LEVELS.high:g} combinations"
+        if is_complete(self.task) and is_complete(self.factor):
+            for index, factor in enumerate(self.factor):
+                changed = {factor.parameter}.union(*factor.values.values())
+                for name in sorted(changed & {self.task.parameter, *self.task.also}):
+                    yield f"factor[{index}]", name, "is set by the task, which replaces it: use another parameter"
 
     def _check_participants(self) -> Iterator[Complaint]:
-        if is_usable(self.task):
+        if is_usable(self.task) and is_usable(self.task.kind):
             for key, value in (("catch", self.catch), ("confidence", self.confidence)):
                 if is_usable(value) and value is not None and self.task.kind != "compare":
                     fault = f"applies to compare only: answers of {self.task.kind} are not right or wrong"

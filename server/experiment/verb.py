@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from softfinger.config.errors import ConfigError
-from softfinger.config.files import write_new_file
+from softfinger.config.files import make_write_error, write_new_file
 from softfinger.server import signals
 from softfinger.server.arguments import parse_parameter
 from softfinger.server.experiment.analysis import find_excluded_participants, fit_groups, format_fit, make_table
@@ -49,7 +49,7 @@ def run_experiment(args: argparse.Namespace) -> int:
 
 
 def run_figure(args: argparse.Namespace) -> int:
-    """Draw, print and return 0. Raises ConfigError if the folder has no answers, or a file cannot be written."""
+    """Draw, print and return 0. Raises ConfigError if the folder has no answers, or errors of `make_write_error`."""
     root = Path(args.folder)
     experiment, rows = load(root)
     groups = fit_groups(experiment, rows)
@@ -77,10 +77,7 @@ def run_figure(args: argparse.Namespace) -> int:
         if surveys:
             write_csv(out / "surveys.csv", surveys)
     except OSError as error:
-        raise ConfigError(
-            f"{out}: the figures cannot be written: {error.strerror or error}: make room, or name another folder: "
-            "--out FOLDER"
-        ) from error
+        raise make_write_error(out, error, "make room, or name another folder: --out FOLDER") from error
     if args.json:
         print(text)
         return 0

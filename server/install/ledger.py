@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, HapticError
+from softfinger.config.files import make_write_error
 
 State = Literal["new", "unchanged", "outdated", "edited", "foreign"]
 
@@ -41,7 +42,7 @@ class Ledger:
         except FileNotFoundError:
             pass
         except PermissionError as error:
-            raise self._make_permission_error(record, error) from error
+            raise self._make_error(record, error) from error
         except (ValueError, TypeError, KeyError) as error:
             raise ConfigError(
                 f"{self._resolve(record)} is damaged ({error}): check its content, and move it away"
@@ -63,7 +64,7 @@ class Ledger:
             while not folder.exists():
                 folder = folder.parent
             if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
-                raise self._make_permission_error(path, PermissionError(13, "Permission denied"))
+                raise self._make_error(path, PermissionError(13, "Permission denied"))
 
     def state(self, file: File) -> State:
         """Return how the file at the path of `file` compares with `file` and with the record."""
@@ -149,7 +150,7 @@ class Ledger:
         except OSError as error:
             with contextlib.suppress(OSError):
                 part.unlink()
-            raise self._make_permission_error(path, error) from error
+            raise self._make_error(path, error) from error
 
     def _make_folder(self, folder: Path) -> None:
         if folder == Path("/"):
@@ -168,12 +169,14 @@ class Ledger:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise self._make_permission_error(path, error) from error
+            raise self._make_error(path, error) from error
 
-    def _make_permission_error(self, path: Path, error: OSError) -> ConfigError:
+    def _make_error(self, path: Path, error: OSError) -> HapticError:
+        if not isinstance(error, PermissionError):
+            return make_write_error(self._resolve(path), error, "correct it and repeat the command")
         return ConfigError(
-            f"{self._resolve(path)} may not be changed by this user ({error.strerror}): an installation for all users "
-            "needs root: use sudo, or omit --system to install for this user"
+            f"{self._resolve(path)} may not be changed by this user ({error.strerror}): use sudo, or omit --system to "
+            "install for this user; without --system the folder must belong to this user"
         )
 
     def _resolve(self, path: Path) -> Path:

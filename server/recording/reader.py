@@ -12,6 +12,7 @@ import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
@@ -184,15 +185,15 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
         raise RecordingError(f"{path}: is empty")
     cut = "it has no index at its end: it is still being written, its writer was killed, or the disk was full"
     damage: list[str] = []
+    summary = cache(partial(_read_summary, file))
 
     def skip_damage(error: Exception) -> None:
         damage.append(f"a part is damaged, and its ticks are missing: {type(error).__name__}: {str(error)[:120]}")
-        if not channels:  # they are in the first chunk
-            for record in _read_summary(file):
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    channels[record.id] = _Channel(record.topic, schemas.get(record.schema_id))
+        for record in summary():  # the part may have declared channels
+            if isinstance(record, Schema):
+                schemas.setdefault(record.id, record)
+            elif isinstance(record, Channel):
+                channels.setdefault(record.id, _Channel(record.topic, schemas.get(record.schema_id)))
 
     try:
         for outer in iter_mcap_records(file, skip_damage):

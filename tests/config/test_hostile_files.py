@@ -250,6 +250,10 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
         with pytest.raises(RecordingError, match=r"o\.csv: cannot be written: File too large"):
             write_blocks(path, [""], [some_records(100)[:, None]])
+        with pytest.raises(OSError, match=r"File too large: .*o\.csv"), files.write_new_file(path) as file:
+            file.write(bytes(2000))
+        with pytest.raises(OSError, match=r"No such file .*no/o\.csv"), files.write_new_file(tmp_path / "no" / "o.csv"):
+            pass
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]

@@ -95,7 +95,6 @@ def test_the_verb_makes_pairs(tmp_path: Path) -> None:
 def test_invalid_key_files_are_refused(tmp_path: Path) -> None:
     public, secret = make_pair(tmp_path, "rig")
     _, second_secret = make_pair(tmp_path, "other")
-    public.chmod(0o600)
     with pytest.raises(ConfigError, match="a public key"):
         read_pair(public)
     text = secret.read_text()

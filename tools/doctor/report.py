@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import ConfigError, DeviceError, HapticError, SafetyStop
-from softfinger.config.files import write_new_file
+from softfinger.config.files import make_write_error, write_new_file
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.config.schema.pairing import find_single_device
@@ -226,12 +226,12 @@ def limit_guard(rig: Rig, device: Device, force_n: float, option: str = "--with-
 
 
 def write(file: Path, report: dict[str, Any], option: str) -> None:
-    """Write the file completely or not at all. Raises ConfigError if it cannot be written."""
+    """Write the file completely or not at all. Raises the errors of `make_write_error`."""
     try:
         with write_new_file(file) as part:
             part.write((json.dumps(report, indent=2) + "\n").encode())
     except OSError as error:
-        raise ConfigError(f"{option} {file}: cannot be written: {error.strerror}: choose another file") from error
+        raise make_write_error(f"{option} {file}", error, "choose another file") from error
 
 
 def format_lines(report: Report, file: Path) -> list[str]:

@@ -175,6 +175,7 @@ WEAK = {"device.force_max_n": 1.0, "guard.force_max_n": 0.8}
          r"scene pinch, rig .*: the scene has \[\[finger\]\] 'thumb', 'index', but the rig has \[device\]"),
         ({}, {"commands.endpoint": "off"}, "accepts no commands, but an experiment needs them"),
         ({"rig": "falcon"}, {}, "no Falcon .* is attached"),
+        ({"motion": {"fingertip": [[0.0, 0.0, 0.0, 15.0]]}}, {}, "motion.fingertip: .* outside the workspace"),
     ],
 )  # fmt: skip
 def test_an_unusable_experiment_is_refused_before_writing(changes, rig, message, tmp_path):

@@ -21,7 +21,7 @@ from helpers.processes import COMMAND
 from PIL import Image
 from test_trial_order import make_tables
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, Exhausted
 from softfinger.config.schema import Scene
 from softfinger.config.sources import EXPERIMENTS, FOLDERS, list_names
 from softfinger.server import cli
@@ -146,7 +146,7 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(finished: FinishedSe
     for participant in (1, 2):
         with pytest.raises(ConfigError, match=r"answers of the simulated observer \(--dry-run\): use another folder"):
             finished.experiment.run(finished.folder, participant)
-    finished.write(*(line.replace(b'"dry_run":true', b'"dry_run":false') for line in finished.lines))
+    finished.write(re.sub(rb'"dry_run":true(.*),"crc32":\d+', rb'"dry_run":false\1', b"".join(finished.lines)))
     with pytest.raises(ConfigError, match="answers of participants: use another folder"):
         finished.run()
 
@@ -167,7 +167,7 @@ def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
         journal.write("begun", trial=1)
         with (
             limit_file_size(5, path),
-            pytest.raises(ConfigError, match="cannot be written: File too large: earlier answers are stored"),
+            pytest.raises(Exhausted, match="cannot be written: File too large: earlier answers are stored"),
         ):
             journal.write("done", trial=1)
         assert read(path) == journal.entries == [{"kind": "begun", "trial": 1}]
@@ -183,7 +183,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     rows = [{"tick": tick} for tick in range(1000)]
     with (
         limit_file_size(100, tmp_path / "experiment.json"),
-        pytest.raises(ConfigError, match="cannot be written: File too"),
+        pytest.raises(Exhausted, match="cannot be written: File too"),
     ):
         folder.ticks(1, 1, rows)
     assert not list(table.parent.iterdir())
@@ -277,8 +277,11 @@ def test_a_journal_may_end_with_zeros_after_a_power_failure(finished: FinishedSe
     ],
 )
 def test_an_edited_answer_is_refused(old: str, new: str, message: str, finished: FinishedSession) -> None:
-    text = finished.journal.read_text()
-    finished.journal.write_text(text.replace('"right":false', '"right":true').replace(old, new))
+    text = finished.journal.read_text().replace('"right":false', '"right":true').replace(old, new)
+    finished.journal.write_text(text)
+    with pytest.raises(ConfigError, match=r"journal\.jsonl: line 3: 'done' of trial 1 was edited later: restore the"):
+        load(finished.folder)
+    finished.journal.write_text(re.sub(r',"crc32":\d+', "", text))
     with pytest.raises(ConfigError, match=rf"sub-01_journal\.jsonl: {message}.*: restore the file from a copy"):
         load(finished.folder)
 
@@ -316,8 +319,8 @@ def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "figures" / "numbers.csv").touch()
     with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
         result = called("figure", str(tmp_path))
-    fault = f"{tmp_path / 'figures'}: the figures cannot be written: File too large: make room, or name another folder"
-    assert result.returncode == ConfigError.exit_code and fault in result.stderr
+    fault = f"{tmp_path / 'figures'}: cannot be written: File too large: make room, or name another folder"
+    assert result.returncode == Exhausted.exit_code and fault in result.stderr
 
 
 def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) -> None:
@@ -337,7 +340,7 @@ def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) ->
 
 
 def test_a_journal_of_an_earlier_version_is_continued(finished: FinishedSession) -> None:
-    finished.write(*(re.sub(rb'"entry":\d+,', b"", line) for line in finished.lines))
+    finished.write(*(re.sub(rb'"entry":\d+,|,"crc32":\d+', b"", line) for line in finished.lines))
     cut_journal(finished.journal.parent, 9)
     assert [row["answer"] for row in finished.run()] == [row["answer"] for row in finished.rows]
     journal = finished.journal.read_bytes()

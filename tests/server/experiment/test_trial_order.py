@@ -110,6 +110,8 @@ def test_practice_comes_first() -> None:
         ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.scenes": {"a": "sphere"}}, "set one of parameter, scenes and values"),
         ({"procedure.levels": [0.1, 0.2, 0.1]}, "has a level twice"),
+        ({"task.kind": "compares", "procedure.kind": "staircase"}, r"^experiment: task\.kind = [^\n]*$"),
+        ({"factor.0.parameter": STIFFNESS}, r"factor\[0\] = 'object\.[^']*': is set by the task, which replaces it"),
         ({"observer.by": {"3.0": {"threshold": 0.1}}}, "no condition is called '3.0'.*; there are 0.0; 1.0; 2.0"),
         ({"observer.by": {"2.0": {"treshold": 0.1}}}, "did you mean 'threshold'"),
         ({"motion": {"thumb": [[0.0, 0.0, 0.0, 0.0]]}}, "motion.thumb: no scene has this finger; there are fingertip"),

@@ -1,17 +1,19 @@
 """`install` below a folder: its files are written, recorded, updated and removed; other files are not changed."""
 
+import errno
 import json
 import os
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from helpers.called import called
 from helpers.forgotten import forget_user
 
-from softfinger.config.errors import ConfigError
+from softfinger.config.errors import ConfigError, Exhausted
 from softfinger.server.cli import main
 from softfinger.server.install.ledger import File, Ledger
 from softfinger.server.install.plan import SYSTEM, find_private_folder, find_user_paths
@@ -162,6 +164,12 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
             folder.chmod(0o755)  # otherwise only root could delete it
     assert "\n" not in str(caught.value)
     assert content(root) == before
+
+
+def test_a_full_disk_is_not_a_missing_permission(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "replace", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(Exhausted, match=r"var/two: cannot be written: No space left on device: correct it"):
+        list(Ledger(root, SYSTEM.record).write([File(Path("/var/two"), "2\n")]))
 
 
 def test_a_damaged_record_is_reported(root: Path, install: Install) -> None:

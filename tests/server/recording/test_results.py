@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 from helpers.called import read_stdout
-from helpers.recorded import recorded, run
+from helpers.recorded import about, event, recorded, run
 from helpers.telemetry_records import put, synthetic
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -95,7 +95,7 @@ def test_ticks_after_a_damaged_part_are_read(tmp_path: Path, caplog: pytest.LogC
     assert "incomplete: a part is damaged" in read_stdout("info", str(path))
 
 
-def test_the_types_of_a_damaged_first_part_are_read_at_the_end(tmp_path: Path) -> None:
+def test_the_types_of_a_damaged_part_are_read_at_the_end(tmp_path: Path) -> None:
     path = recorded(tmp_path / "run.mcap", run())
     flip(path, chunk_offsets(path)[0])
     info = summarize(path)
@@ -104,6 +104,13 @@ def test_the_types_of_a_damaged_first_part_are_read_at_the_end(tmp_path: Path) -
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(RecordingError, match=r"run\.mcap: has no tick: a part is damaged"):
         summarize(path)
+    recording = RecordingFile((path := tmp_path / "marks.mcap").open("wb", buffering=0), ("",), about())
+    for rows in (run()[:100], run()[100:]):
+        recording.ticks(rows)
+        recording.event(event("mark", "mark", 0, label=""))
+    recording.close()
+    flip(path, chunk_offsets(path)[1])  # declares the topic of the marks
+    assert summarize(path)["events"] == {"mark mark": 1}
 
 
 def test_damaged_metadata_lose_no_tick(tmp_path: Path) -> None:
