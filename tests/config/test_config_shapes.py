@@ -22,7 +22,6 @@ from softfinger.config.sources import DEPTH_MAX, PARTS_MAX, parse_toml, read_tom
 from softfinger.drivers.mounting import Mounting
 from softfinger.proxy.kernels.shapes import closest
 from softfinger.proxy.scene import shape_bodies
-from softfinger.server.verbs.check import examine_file
 from softfinger.server.wire.envelope import DeclinedRequest, parse
 
 pytestmark = pytest.mark.plain
@@ -404,16 +403,3 @@ def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None
     path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
     with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is not a table"):
         load_rig(path, {"device.recording.name": "x"}, {"device.recording.name": "flag"})
-
-
-def test_check_of_a_rig_reads_its_recording(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    (tmp_path / "bad.csv").write_text("t,x\n")
-    for recording, message in (("missing.csv", "no such file"), (str(tmp_path / "bad.csv"), "line 1")):
-        path.write_text(f'[device]\ndriver = "replay"\nrecording = "{recording}"\n')
-        (error,) = examine_file(str(path)).errors
-        assert "rig.toml: device.recording" in error and message in error
-    path.write_text('[devices.thumb]\ndriver = "replay"\nrecording = "missing.csv"\n')
-    assert "devices.thumb.recording" in examine_file(str(path)).errors[0]
-    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
-    assert not examine_file(str(path)).errors

@@ -1,6 +1,9 @@
 """Data sent to Foxglove and Rerun, read back with their libraries; without a library, one line names the package."""
 
+import json
+import struct
 import sys
+from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
@@ -10,8 +13,9 @@ import pytest
 from helpers.called import called, read_stdout
 from helpers.recorded import event, recorded, run
 from helpers.waits import repeated
-from helpers.websocket import Viewer
 from mcap.reader import make_reader
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.load import describe, load_scene
@@ -24,6 +28,40 @@ from softfinger.server.recording.schemas import FRAME, SCENE, TICK, make_message
 from softfinger.server.recording.writer import RecordingFile, Topics
 
 WHY = "`make setup` does not install this package, which is larger than softfinger: see docs/operate/bridges.md"
+
+
+class Viewer(AbstractContextManager[Any]):
+    """Client of Foxglove's protocol (https://github.com/foxglove/ws-protocol) that subscribes to every topic."""
+
+    def __init__(self, port: int) -> None:
+        self.topics: dict[str, dict[str, Any]] = {}
+        self._subscribed: dict[int, str] = {}
+        self._socket = connect(
+            f"ws://127.0.0.1:{port}", subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None, proxy=None
+        )
+
+    def messages(self) -> Iterator[tuple[str, int, bytes]]:
+        """Return topic, time (ns) and data of each message."""
+        while True:
+            data = self._socket.recv(timeout=60.0)
+            if isinstance(data, str):
+                message = json.loads(data)
+                if message["op"] == "advertise":
+                    self._subscribe(message["channels"])
+            elif data[0] == 1:
+                number, time_ns = struct.unpack_from("<IQ", data, 1)
+                yield self._subscribed[number], time_ns, data[13:]
+
+    def _subscribe(self, channels: list[dict[str, Any]]) -> None:
+        wanted = []
+        for channel in channels:
+            self.topics[channel["topic"]] = channel
+            self._subscribed[channel["id"]] = channel["topic"]
+            wanted.append({"id": channel["id"], "channelId": channel["id"]})
+        self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
 
 
 @pytest.fixture

@@ -135,12 +135,13 @@ def test_an_error_names_its_file_once(tmp_path: Path) -> None:
     assert result.returncode == 2 and result.stderr == f"{file}: not usable\n  no such file\n"
 
 
-@pytest.mark.parametrize("recording", ["", ".", "nothing", "none.csv", "/dev/zero"])
+@pytest.mark.parametrize("recording", ["", ".", "nothing", "none.csv", "bad.csv", "/dev/zero"])
 @pytest.mark.parametrize("driver", ["replay", "simulated"])
-def test_an_unusable_recording_is_a_fault_of_the_rig(driver: str, recording: str, tmp_path: Path) -> None:
-    rig = tmp_path / "rig.toml"
-    rig.write_text(f'[device]\ndriver = "{driver}"\nrecording = "{recording}"\n')
-    (fault,) = examine_file(str(rig)).errors
+def test_an_unusable_recording_is_a_fault_of_the_rig(driver, recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bad.csv").write_text("t,x\n")
+    Path("rig.toml").write_text(f'[device]\ndriver = "{driver}"\nrecording = "{recording}"\n')
+    (fault,) = examine_file("rig.toml").errors
     assert "device.recording: " in fault and recording in fault
 
 
