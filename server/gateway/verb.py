@@ -27,6 +27,7 @@ from softfinger.server.progress import show_counter
 from softfinger.server.socket_process.allowed import AllowedKeys
 from softfinger.server.socket_process.peer_socket import KeyLock
 from softfinger.server.wire.endpoint import BoundSocket, listen
+from softfinger.server.wire.process_link import block_stop_signals
 
 RESTART_S: Final = 1.0
 """Shortest time from one start of the process to the next."""
@@ -57,8 +58,11 @@ class TelemetryProcess:
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._started_s = time.monotonic()
-        # In a separate session: Ctrl-C reaches the gateway, which then closes the standard input of this process.
-        return subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
+        # Signals are for the gateway, which then closes the standard input of this process.
+        with block_stop_signals():
+            return subprocess.Popen(
+                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
+            )
 
     def keep_running(self) -> bool:
         """Start the process again if it has ended. Return False after an error that a new start would repeat."""

@@ -182,6 +182,8 @@ class CommandService:
                 return DeclinedRequest("busy", str(error))
             case HapticError():
                 return DeclinedRequest("refused", str(error))
+            case OSError() | MemoryError():  # out of file descriptors, processes, memory or disk space
+                return DeclinedRequest("refused", f"the system refused: {error or 'out of memory'}")
         if time.monotonic() - self._logged_s > LOG_PERIOD_S:  # rarely, because a client must not fill the log
             self._logged_s = time.monotonic()
             log.error("a command failed", exc_info=error)

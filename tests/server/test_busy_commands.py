@@ -134,7 +134,14 @@ def test_a_failed_compilation_is_reported(rig, monkeypatch):
         monkeypatch.setattr(scene_changes.subprocess, "Popen", lambda words, **rest: popen(failing, **rest))
         with pytest.raises(CommandRefused, match=r"^failed: the scene could not be compiled"):
             control.set_scene("sphere")
+        monkeypatch.setattr(scene_changes.subprocess, "Popen", refuse_process)
+        with pytest.raises(CommandRefused, match=r"^refused: the system refused: \[Errno 11\] no process is left"):
+            control.set_scene("sphere")
         assert control.get_state().active_field == "pressed" and recorder.force_n > 1.9
+
+
+def refuse_process(*_, **__):
+    raise BlockingIOError(11, "no process is left")
 
 
 def test_the_compiler_exits_when_its_input_is_closed():

@@ -236,6 +236,9 @@ def test_a_gateway_without_file_descriptors_continues_and_retries(monkeypatch: p
         refused.setattr(forwarded, "_command", ["/dev/null/no program"])
         assert forwarded.keep_running() and forwarded.keep_running()
     assert forwarded.keep_running() and forwarded._process.poll() is None
+    status = Path(f"/proc/{forwarded._process.pid}/status").read_text()
+    blocked = next(int(line.split()[1], 16) for line in status.splitlines() if line.startswith("SigBlk"))
+    assert blocked >> signal.SIGTERM - 1 & 1  # it ends by the end of its input, not by a signal to all processes
     forwarded.end()
     assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
