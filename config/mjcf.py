@@ -6,11 +6,13 @@ MuJoCo finds and reads the files of a model. Only files below one folder are all
 from __future__ import annotations
 
 import copy
+import ctypes
 import os
 import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -38,6 +40,17 @@ class CompiledModel(NamedTuple):
     files: Mapping[str, Any]
 
 
+class _LogConfig(ctypes.Structure):
+    """mjLogConfig of mjtype.h; with all fields zero, MuJoCo writes neither to the terminal nor to MUJOCO_LOG.TXT."""
+
+    _fields_ = (
+        ("logto_console", ctypes.c_uint8),
+        ("logto_file", ctypes.c_uint8),
+        ("logfile", ctypes.c_char * 1024),
+        ("topics", ctypes.c_int),
+    )
+
+
 _compiled: Final = OrderedDict[tuple[str, str | None], CompiledModel]()
 _lock: Final = threading.Lock()
 
@@ -49,6 +62,18 @@ def import_mujoco() -> Any:
     except ImportError as error:
         raise ConfigError(f"[world] needs MuJoCo ({error}): pip install 'softfinger[world]'") from error
     return mujoco
+
+
+@cache
+def load_library(package: Any) -> ctypes.CDLL:
+    """Load the library of the package, and disable its log: a model or a servo thread must not write files."""
+    folder = Path(package.__file__).parent
+    libraries = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
+    if not libraries:
+        raise ConfigError(f"[world]: {folder} has no libmujoco: reinstall the package mujoco-core")
+    library = ctypes.CDLL(str(libraries[0]))
+    library.mju_setLogConfig(_LogConfig())
+    return library
 
 
 def read_model(world: schema.World) -> mujoco.MjModel:
@@ -122,6 +147,7 @@ def compile_model(path: str, root: str | None = None) -> CompiledModel:
 
 def _compile(path: str, root: str | None) -> CompiledModel:
     package, name = import_mujoco(), repr(path)[1:-1]
+    load_library(package)
     text = read_text(path, name)
     home = Path(os.path.realpath(Path(path).parent if root is None else root))
     names = read_names(text, Path(path), name, home)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 from operator import attrgetter
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError, SafetyStop
-from softfinger.config.mjcf import find_key_number, import_mujoco, read_model
+from softfinger.config.mjcf import find_key_number, import_mujoco, load_library, read_model
 from softfinger.config.mjcf_geoms import can_move
 from softfinger.proxy.kernels import model as kernels
 from softfinger.proxy.kernels.jit.arrays import ReadOnly
@@ -25,17 +24,6 @@ from softfinger.proxy.kernels.query import bodies as at
 
 TIMESTEP_TOLERANCE: Final = 1e-6
 """Relative difference allowed between a period, in whole nanoseconds, and a model's timestep, in decimal seconds."""
-
-
-class _LogConfig(ctypes.Structure):
-    """mjLogConfig of mjtype.h; with all fields zero, MuJoCo writes neither to the terminal nor to MUJOCO_LOG.TXT."""
-
-    _fields_ = (
-        ("logto_console", ctypes.c_uint8),
-        ("logto_file", ctypes.c_uint8),
-        ("logfile", ctypes.c_char * 1024),
-        ("topics", ctypes.c_int),
-    )
 
 
 class SimulationAddresses(ReadOnly):
@@ -82,8 +70,7 @@ class RigidBodies:
 
     def _connect(self) -> None:
         """Look up MuJoCo's functions, route its errors to `rescue`, and collect the addresses for the kernels."""
-        self._library = _load_library(import_mujoco())
-        self._library.mju_setLogConfig(_LogConfig())  # warnings are counted: a servo thread must not write files
+        self._library = load_library(import_mujoco())
         if not PLAIN:  # calls of MuJoCo from Python still raise exceptions
             self._library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
             self._library.mju_setLogHandler(jump_on_error.address)
@@ -243,11 +230,3 @@ def check_bodies(scene: kernels.Scene) -> None:
     """Raise SafetyStop if the bodies of a scene have failed since their start."""
     if scene.bodies is not None and (failure := scene.bodies.block.owner.failure) is not None:
         raise failure
-
-
-def _load_library(package: Any) -> ctypes.CDLL:
-    folder = Path(package.__file__).parent
-    libraries = sorted(folder.glob("libmujoco.so*")) + sorted(folder.glob("libmujoco*.dylib"))
-    if not libraries:
-        raise ConfigError(f"[world]: {folder} has no libmujoco: reinstall the package mujoco-core")
-    return ctypes.CDLL(str(libraries[0]))

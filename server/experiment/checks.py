@@ -172,5 +172,6 @@ def _answer_faults(experiment: ExperimentFile) -> Iterator[str]:
         question = questions[name]
         if question.kind == "multi-choice" and answer not in question.options:
             yield f"{location}: must be one of {', '.join(question.options)}"
-        if question.kind in ("likert", "number") and not isinstance(answer, int | float):
+        is_in_range = isinstance(answer, int | float) and question.min <= answer <= question.max
+        if question.kind in ("likert", "number") and not is_in_range:
             yield f"{location}: must be a number from {question.min:g} to {question.max:g}"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
+from softfinger.config.files import write_new_file
 from softfinger.server.experiment.analysis import (
     ALL_PARTICIPANTS,
     AVERAGED_COLUMNS,
@@ -249,7 +250,9 @@ def _save(figures: Mapping[str, Any], out: Path) -> list[Path]:
         for name, figure in figures.items():
             for suffix in SUFFIXES:
                 paths.append((out / name).with_suffix(f".{suffix}"))
-                figure.savefig(paths[-1], dpi=150, metadata={"Date": None} if suffix == "svg" else None)
+                with write_new_file(paths[-1]) as file:
+                    metadata = {"Date": None} if suffix == "svg" else None
+                    figure.savefig(file, format=suffix, dpi=150, metadata=metadata)
                 update(len(paths))
             plt.close(figure)
     _report_warnings(caught)

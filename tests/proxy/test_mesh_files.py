@@ -188,7 +188,7 @@ UNUSABLE: list[tuple[str, bytes, str]] = [
     ("a.obj", FILES["stl by hand"][1], "has no triangles: it is damaged"),
     ("a.obj", b"hello\n", "has no triangles: it is damaged"),
     ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "has no triangles"),
-    ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face 0 has the corner 8, but there are vertices 0 to 2"),
+    ("a.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "face 1 has the vertex 9, but there are 1 to 3"),
     ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles[:0])), "has no triangles"),
     ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles + 60)), "there are vertices 0 to 91"),
     ("a.ply", ply_text(Mesh(BALL.vertices, BALL.triangles - 1)), "there are vertices 0 to 91"),

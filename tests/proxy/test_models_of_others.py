@@ -437,6 +437,13 @@ def test_a_scene_that_does_not_fit_its_world_is_refused(name: str, tmp_path: Pat
     assert expected in message and "\n" not in message
 
 
+def test_a_warning_about_a_model_writes_no_file(tmp_path: Path) -> None:
+    (tmp_path / "nan.xml").write_text(IN_BODY.format('<geom name="ball" size="0.02" pos="0 0 nan"/>'))
+    code = "from softfinger.config.mjcf import compile_model; compile_model('nan.xml')"
+    subprocess.run([sys.executable, "-c", code], check=False, cwd=tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["nan.xml"]
+
+
 def test_a_scene_without_a_world_does_not_import_mujoco() -> None:
     code = (
         "import sys; from softfinger import Engine; e = Engine('paper-plane'); "

@@ -17,10 +17,10 @@ if sys.argv[1:]:  # keys of others, so that ours has another number
     for _ in range(int(sys.argv[1])):
         ctypes.CDLL(None).pthread_key_create(ctypes.byref(spare), None)
 import mujoco
-from softfinger.proxy.bodies import _load_library
+from softfinger.config.mjcf import load_library
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.rescue import RESCUE_ALIGNMENT, RESCUE_BYTES, jump_on_error, call_rescued, words_in
-library = _load_library(mujoco)
+library = load_library(mujoco)
 library.mju_setLogHandler.argtypes = (ctypes.c_void_p,)
 library.mju_setLogHandler(jump_on_error.address)
 STEP = ctypes.cast(library.mj_step, ctypes.c_void_p).value

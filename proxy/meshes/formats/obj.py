@@ -43,7 +43,7 @@ def read(data: bytes) -> Faces:
     corners = parse_numbers(rows, np.int64)
     if len(corners) != counts.sum():
         raise ValueError(f"is damaged: {counts.sum():,} corners of faces, and {len(corners):,} numbers for them")
-    return Faces(points, _to_zero_based(text, corners, counts), counts, len(counts))
+    return Faces(points, _to_zero_based(text, corners, counts, len(points)), counts, len(counts))
 
 
 def _parse_points(text: bytes) -> Points:
@@ -57,13 +57,18 @@ def _parse_points(text: bytes) -> Points:
     return np.asarray(values[(np.cumsum(words) - words)[:, None] + np.arange(3)])
 
 
-def _to_zero_based(text: bytes, corners: Indices, counts: Indices) -> Indices:
-    """Return the corners as indices from 0; in the file they count from 1, or back from the last vertex if negative."""
+def _to_zero_based(text: bytes, corners: Indices, counts: Indices, count: int) -> Indices:
+    """Return the corners as indices from 0; in the file they count from 1, or back from the last vertex if negative.
+
+    count  vertices of the file
+    """
+    missing = (corners == 0) | (corners > count)
+    if missing.any():
+        bad = int(missing.argmax())
+        face = int(np.searchsorted(np.cumsum(counts), bad, side="right"))
+        raise ValueError(f"is damaged: face {face + 1} has the vertex {corners[bad]}, but there are 1 to {count:,}")
     if (corners > 0).all():
         return corners - 1
-    if (corners == 0).any():
-        face = int(np.searchsorted(np.cumsum(counts), (corners == 0).argmax(), side="right"))
-        raise ValueError(f"is damaged: face {face + 1} has the vertex 0, but vertices count from 1")
     vertices, faces = (np.array([match.start() for match in kind.finditer(text)]) for kind in (_VERTEX, _FACE))
     before = np.repeat(np.searchsorted(vertices, faces), counts)
     relative = np.where(corners < 0, before + corners, corners - 1)

@@ -317,10 +317,12 @@ def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCa
 def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "numbers.csv").touch()
+    (tmp_path / "figures" / "fit.png").write_bytes(b"old")
     with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
         result = called("figure", str(tmp_path))
     fault = f"{tmp_path / 'figures'}: cannot be written: File too large: make room, or name another folder"
     assert result.returncode == Exhausted.exit_code and fault in result.stderr
+    assert (tmp_path / "figures" / "fit.png").read_bytes() == b"old"
 
 
 def test_a_session_continues_without_a_lost_answer(finished: FinishedSession) -> None:

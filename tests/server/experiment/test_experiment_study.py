@@ -203,6 +203,7 @@ def test_without_consent_there_is_no_trial(tmp_path: Path) -> None:
         ({"survey": [survey(question=[AGE | {"kind": "likert"}])]}, "more than 21 marks"),
         ({"survey": [survey()], "observer.answers": {"hand": "none"}}, "must be one of left, right"),
         ({"survey": [survey()], "observer.answers": {"age": "old"}}, "must be a number from 18 to 99"),
+        ({"survey": [survey()], "observer.answers": {"age": 17}}, "must be a number from 18 to 99"),
         ({"procedure.starts": [0.1]}, "only a staircase has starts"),
         ({"procedure.kind": "staircase", "procedure.starts": [0.1, 2.0]}, "starts = 2.0: must be from smallest"),
         ({"procedure.kind": "staircase", "procedure.starts": [0.1, 0.2], "procedure.trials": 1}, "more staircases"),
