@@ -1,6 +1,8 @@
 """Run a device's closed loop through the daemon, and compare each tick with the engine on the same poses.
 
-python closed_loop.py RIG SCENE FILE.npy      one stroke, for tests with an emulated bus, which need a separate process
+python closed_loop.py RIG SCENE TICKS FILE.npy      for tests with an emulated bus, which need a separate process
+
+TICKS is a number, or `stroke`: until the finger was in contact in both modes and is free again.
 """
 
 import sys
@@ -26,7 +28,7 @@ COMPILE_S = 300.0
 def records_of_daemon(rig: Rig, scene: Scene, ticks: int | None) -> Array:
     """Run a daemon to its last tick; return the received records (ticks, RECORD_SIZE), of which none may be missing.
 
-    ticks  their number; None: until the finger was in contact in both modes and is free again
+    ticks  their number; None: one stroke, which takes more of them on a busy machine
     """
     with Daemon(rig, scene, ticks) as daemon:
         endpoint = daemon.publisher.endpoint
@@ -85,6 +87,8 @@ def assert_engine_agrees(records: Array, scene: Scene, rate_hz: float) -> int:
 
 
 if __name__ == "__main__":
-    RIG, SCENE, FILE = sys.argv[1:]
+    RIG, SCENE, TICKS, FILE = sys.argv[1:]
     changes = {"telemetry.endpoint": "tcp://127.0.0.1:*", "servo.realtime": "off"}
-    np.save(FILE, records_of_daemon(load_rig(RIG, changes), load_scene(SCENE), None))
+    np.save(
+        FILE, records_of_daemon(load_rig(RIG, changes), load_scene(SCENE), None if TICKS == "stroke" else int(TICKS))
+    )

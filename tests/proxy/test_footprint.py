@@ -97,6 +97,13 @@ def test_torsion_is_elastic_up_to_the_friction_of_the_patch(name: str, depth: fl
     assert records["torque"][:, 2] == pytest.approx(records["contact.torsion"], abs=1e-18)
 
 
+def test_torsional_stiffness_of_a_hertzian_patch_is_load_times_radius() -> None:
+    """On a rigid flat 16/3 G a^3 = f_N r, independent of the pad's modulus."""
+    for modulus in (1e4, 1e5, 1e7):
+        records = run(soft({"shear_modulus_pa": modulus}), pressed(0.002).go(1, turn=[0, 0, 1e-6]))
+        assert records["contact.torsion"][-1] == pytest.approx(-2.0 * R * 1e-6, rel=1e-9)
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", list(PATCHES))
 def test_steady_slip_and_spin_are_on_the_limit_surface_of_the_patch(name: str) -> None:
