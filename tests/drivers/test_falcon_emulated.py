@@ -46,7 +46,7 @@ def test_the_driver_contract() -> None:
 
 def test_closed_loop_through_libusb(tmp_path: Path) -> None:
     records_file = tmp_path / "records.npy"
-    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", str(records_file))
+    program = (sys.executable, str(CLOSED_LOOP), rig_with(tmp_path), "paper-plane", "stroke", str(records_file))
     _, saw = beside(STROKE, *program, code=0)
     records = np.load(records_file)
     assert {0.0, 1.0, 2.0} == set(records[:, AT.contact_mode])
