@@ -108,8 +108,12 @@ class Rendering:
         self.force: Final = Force(unarmed, states or StateMachine(), self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
-        self.servo.start()
-        self._started = True
+        self._started = True  # first: an interrupted start may have started the loop, which `stop` must await
+        try:
+            self.servo.start()
+        except RuntimeError:  # the system has no thread left
+            self._started = False
+            raise
 
     def stop(self) -> None:
         self._stopped = True

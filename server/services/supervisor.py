@@ -21,7 +21,8 @@ class Supervisor(Worker):
 
     def work(self) -> None:
         watchdog = fault_detection.Watchdog()
-        while self._servo.is_ticking and not self.closing.is_set():
+        # An armed servo is monitored up to its last tick; one that was never armed may never have been started.
+        while self._servo.is_ticking and (self._servo.is_armed or not self.closing.is_set()):
             time.sleep(fault_detection.STALL_POLL_S)
             ticks = self._servo.ticks
             has_force = any(device.info.has_persistent_force for device in self._servo.devices)

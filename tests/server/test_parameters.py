@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -113,3 +114,13 @@ def test_a_change_waits_for_a_replacement_and_no_longer(applied_tunings, make_re
         assert not applied_tunings
     changed.set_parameters({STIFFNESS: 500.0}, "set_params")
     assert press_to_rest(applied_tunings[-1])[AT.contact_normal_force] == pytest.approx(500.0 * DEPTH_M, rel=ROUNDING)
+
+
+def test_a_servo_whose_start_was_interrupted_is_awaited(make_rendering, monkeypatch):
+    made, timeouts = make_rendering(pressed_scene()), []
+    monkeypatch.setattr(made.servo, "start", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(made.servo, "join", timeouts.append)
+    with pytest.raises(KeyboardInterrupt):
+        made.start()
+    made.stop()
+    assert timeouts

@@ -73,6 +73,14 @@ def test_a_supervisor_ends_before_a_servo_that_never_starts() -> None:
     assert not supervisor._thread.is_alive()
 
 
+def test_an_armed_servo_is_monitored_until_its_last_tick() -> None:
+    errors = queue.Queue[HapticError]()
+    supervisor = make_supervisor(Servo(lambda: 0), errors.put)
+    supervisor.closing.set()
+    supervisor.start()
+    assert isinstance(errors.get(timeout=WAIT_S), SafetyStop)
+
+
 def test_a_stall_is_reported_and_every_device_stopped_if_anything_fails() -> None:
     calls: list[str] = []
     ended = threading.Event()
