@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TYPE_CHECKING, Final, TextIO, TypeVar, cast
 
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
-from softfinger.server.standard_error import WithoutWaiting, write_line
+from softfinger.server.standard_error import NonBlockingStream, write_line
 
 if TYPE_CHECKING:  # importing rich takes 50 ms, and only terminals need it
     from rich.progress import Progress, Task
@@ -219,7 +219,7 @@ def _display(bar: bool, detail: Callable[[], str]) -> Progress:
         columns += [BarColumn(), _TaskShare()]
     # The terminal wraps long log lines. Redirected output does not go to the terminal. No thread waits for a terminal
     # that accepts nothing (Ctrl-S, a lost connection), because the end of the display would wait for that thread.
-    stream = cast(TextIO, WithoutWaiting(sys.stderr))
+    stream = cast(TextIO, NonBlockingStream(sys.stderr))
     console = Visible(file=stream, soft_wrap=True, highlight=False)
     return Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
 

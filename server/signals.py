@@ -49,7 +49,7 @@ GRACE_S: Final = 0.5
 
 
 def call_at_end_of_input(action: Callable[[], None]) -> None:
-    """Call a function, in a thread, when standard input ends: the program that started this one has ended."""
+    """Start a thread that calls a function at the end of standard input, which is the end of the parent process."""
 
     def wait() -> None:
         while os.read(sys.stdin.fileno(), 64):

@@ -19,7 +19,7 @@ WRITE_CHARACTERS: Final = 1000
 _lost_lines = 0
 
 
-class WithoutWaiting:
+class NonBlockingStream:
     """Stream that discards what standard error does not accept at once; otherwise as `stream`."""
 
     def __init__(self, stream: TextIO) -> None:

@@ -143,7 +143,7 @@ class ReportThreads:
             self._finish()
 
     def _finish(self) -> None:
-        """Count a thread as ended; after the last one, close the device."""
+        """Decrement the number of threads; close the device if none is left."""
         with self._count_lock:
             self._running_count -= 1
             last = self._running_count == 0

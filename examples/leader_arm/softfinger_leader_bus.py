@@ -116,7 +116,7 @@ class Feetech(Bus):
     """STS and SMS series, such as the STS3215. Force: duty cycle in 0.1 %; the manual has no watchdog."""
 
     enable, mode, force, position = Register(40, 1), Register(33, 1), Register(44, 2), Register(56, 2)
-    force_mode, force_max = 2, 1000
+    force_mode, force_max = 2, 1000  # 100 %
     SIGN: Final = 1 << 10
 
     def packet(self, servo: int, instruction: int, parameters: bytes) -> bytes:
@@ -150,7 +150,7 @@ class Dynamixel(Bus):
 
     enable, mode, force, position = Register(64, 1), Register(11, 1), Register(102, 2), Register(132, 4)
     watchdog = Register(98, 1)
-    force_mode, force_max = 0, 1750
+    force_mode, force_max = 0, 1750  # mA: the largest Current Limit of an XL330 in Robotis' manual
     HEAD: Final = b"\xff\xff\xfd\x00"
     STUFFING: Final = (b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
 

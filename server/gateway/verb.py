@@ -65,7 +65,7 @@ class TelemetryProcess:
             )
 
     def keep_running(self) -> bool:
-        """Start the process again if it has ended. Return False after an error that a new start would repeat."""
+        """Restart the process if it has ended. Return False if a restart would fail with the same error."""
         code = self._process.poll()
         if code in (ConfigError.exit_code, AddressInUse.exit_code):
             self.exit_code = code

@@ -64,7 +64,7 @@ SEAM_DISTANCE = 1e-3
 
 @jit
 def is_single(state: FingerState, radius: float) -> bool:
-    """Return True if one object supports the proxy at rest: only its push and deflection displace it from the probe."""
+    """Return True if the proxy is at rest on one object, and displaced from the probe by that contact only."""
     one, two, _ = state.contacts
     if two.object_index >= 0.0:
         return False
@@ -167,7 +167,7 @@ def apply_friction_of_contact(
 def follow_slip(
     objects: Any, index: float, radius: float, position: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, float, bool]:
-    """Return `settle_on_one`, on a mesh also across the edges of facets, and True if the proxy is at rest."""
+    """Move the proxy by a slip (`settle_on_one`, on a mesh `slide_over_facets`). Also return True if it is at rest."""
     if not isinstance(objects.search, SmoothSearch) and not has_creases_near(objects) and is_mesh_at(objects, index):
         center, active, at_rest = slide_over_facets(objects, index, radius, position, center, deflection, normal)
         return center, active, 0.0, at_rest

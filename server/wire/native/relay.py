@@ -78,7 +78,7 @@ class RelayState(NamedTuple):
 
 @entry
 def serve(state: RelayState, feed: Feed, completed: int, calls: int, file: NDArray[np.int64]) -> bool:
-    """Pass on all ticks until the feed is complete (return True) or Python calls (return False).
+    """Copy ticks to the readers; return True if the feed is complete, False if Python requests a return.
 
     completed  number of rings of the servo that were complete when this one began
     calls      number of calls that Python has handled

@@ -96,10 +96,10 @@ def compute_share_of_tick(bend: Vec3, rate: Vec3) -> float:
 def slide_over_facets(
     objects: Any, index: float, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, ActiveSet, bool]:
-    """Slide over the facets of a mesh as `rest_on_curved` does.
+    """Move the proxy over the facets of a mesh, with the method of `rest_on_curved`.
 
-    Return the centre of the proxy, the facets that it touches, and whether it is at rest. Without a deflection, it may
-    need further steps.
+    Return its centre (3,) m, the facets that it touches, and True if it is at rest. Without a deflection, further steps
+    may be necessary.
     """
     rounds, square = MAX_SLIDING_ROUNDS, 0.0
     if deflection == (0.0, 0.0, 0.0):
