@@ -39,9 +39,9 @@ def adjust_roll_in_hollow(
     if lacks_roll or slides or not rolled.is_complete:
         # The roll winds up the coupling in the tangent plane, and friction decides where the centre moves.
         lacks_roll = True
-        theta, axis = rotations.tilt(turn, normal)
-        unfollowed = vec3.scale(radius * theta, vec3.cross(axis, normal))
-        rolled = Roll(center, normal, unfollowed, theta, rotations.twist(turn, normal), rolled.is_complete)
+        path, spin = rotations.unit_roll(turn, normal), rotations.twist(turn, normal)
+        unfollowed = vec3.scale(radius, path)
+        rolled = Roll(center, normal, unfollowed, vec3.norm(path), spin, rolled.is_complete)
     elif is_hollow(body.shape):
         # Rotating the normal makes a part of the depth tangential: u (1 + depth / (R - r)) in a round hollow.
         tangential_before = vec3.reject(vec3.sub(center, position), normal)

@@ -20,12 +20,21 @@ of squares has a relative error of at most 4 u; its root 3 u, with the root's ro
 
 
 @jit
+def sinc_of_root(y: float) -> float:
+    """Return sin(x) / x at x = sqrt(y), and 1 at 0.
+
+    Terms of the series are added in pairs, as they do not depend on each other: a tick waits for the sum.
+    """
+    if y < SERIES_MAX * SERIES_MAX:
+        return (1.0 - y * (1.0 / 6.0)) + (y * y) * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0)))
+    x = sqrt(y)
+    return sin(x) / x
+
+
+@jit
 def sinc(x: float) -> float:
     """Return sin(x) / x, and 1 at 0."""
-    if abs(x) < SERIES_MAX:
-        y = x * x
-        return 1.0 - y * (1.0 / 6.0 - y * (1.0 / 120.0 - y * (1.0 / 5040.0 - y * (1.0 / 362880.0))))
-    return sin(x) / x
+    return sinc_of_root(x * x)
 
 
 @jit
@@ -137,34 +146,35 @@ def twist(q: Quaternion, n: Vec3) -> float:
 
 
 @jit
-def tilt(q: Quaternion, n: Vec3) -> tuple[float, Vec3]:
-    """Return the tilt of the rotation `q` (w >= 0) over a tangent plane: the part that rolls.
+def unit_roll(q: Quaternion, n: Vec3) -> Vec3:
+    """Return the motion of the centre of a ball of radius 1 that the unit quaternion `q` (w >= 0) rolls over a plane.
 
-    n        (3,)  1    unit normal of the tangent plane
-    returns  rad, (3,)  tilt angle theta in [0, pi] and its unit axis in the tangent plane
-                        (zero when there is no tilt)
+    n        (3,)  1    unit normal of the plane
+    returns  (3,)  rad  theta e x n: tilt angle theta in [0, pi], e its unit axis in the plane
 
     With (w, v) the quaternion and z = v . n, the ZXZ angles of `q` in the contact frame satisfy
-    |v - z n| = sin(theta / 2), sqrt(w^2 + z^2) = cos(theta / 2), and v - z n points along the heading
+    |v x n| = sin(theta / 2), sqrt(w^2 + z^2) = cos(theta / 2), and v - z n points along the heading
     (phi - psi) / 2, which is the axis halfway through the step. The result does not depend on the choice of a contact
-    frame, and theta = 0 is not singular.
+    frame, and theta = 0 is not singular. The ratio of theta to its sine is a series in the square of the sine, that of
+    the arc sine: no root and no division, for which the tick would have to wait.
     """
     v = (q[1], q[2], q[3])
-    z = vec3.dot(v, n)
-    t = vec3.add_scaled(v, -z, n)
-    s = vec3.norm(t)
-    theta = angle_of(s, sqrt(q[0] * q[0] + z * z))
-    if s > 0.0:
-        return theta, vec3.scale(1.0 / s, t)
-    return 0.0, (0.0, 0.0, 0.0)
+    across = vec3.cross(v, n)
+    y = vec3.dot(across, across)
+    if y < SERIES_MAX * SERIES_MAX:
+        low = (2.0 + y * (1.0 / 3.0)) + (y * y) * (3.0 / 20.0 + y * (5.0 / 56.0))
+        high = (35.0 / 576.0 + y * (63.0 / 1408.0)) + (y * y) * (231.0 / 6656.0 + y * (143.0 / 5120.0))
+        return vec3.scale(low + (y * y) * (y * y) * high, across)
+    s, z = sqrt(y), vec3.dot(v, n)
+    return vec3.scale(angle_of(s, sqrt(q[0] * q[0] + z * z)) / s, across)
 
 
 @jit
 def exp(w: Vec3) -> Quaternion:
     """Return the unit quaternion of the rotation vector `w` (3,) rad."""
-    half = 0.5 * vec3.norm(w)
-    s = 0.5 * sinc(half)
-    return (cos(half), s * w[0], s * w[1], s * w[2])
+    square = 0.25 * vec3.dot(w, w)
+    s = 0.5 * sinc_of_root(square)
+    return (cos(sqrt(square)), s * w[0], s * w[1], s * w[2])
 
 
 @jit

@@ -31,5 +31,5 @@ def travel_to_plane(shape: Plane, start: Vec3, end: Vec3, radius: float, in_cont
 
 
 @ahead.of(Plane)
-def straight_ahead(shape: Plane, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
-    return vec3.add_scaled(center, length, along)
+def straight_ahead(shape: Plane, radius: float, center: Vec3, normal: Vec3, motion: Vec3) -> Vec3:
+    return vec3.add(center, motion)

@@ -138,8 +138,8 @@ def rest_on(shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, def
 
 
 @by_type
-def ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Any:
-    """Return the centre (3,) m after a motion of `length` m along the unit tangent `along` of the offset surface."""
+def ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, motion: Vec3) -> Any:
+    """Return the centre (3,) m after moving straight ahead on the offset surface by the tangent vector `motion` m."""
 
 
 @by_type

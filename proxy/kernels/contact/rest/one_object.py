@@ -78,17 +78,19 @@ def rest_on_curved(
     Without a deflection the result is the surface point nearest to the probe, unless that is on another side of the
     object. Then the normal has jumped, and the proxy moves round the object.
     """
-    if deflection == (0.0, 0.0, 0.0):
-        _, point, foot_normal = find_closest_on(shape, pose, probe)
-        if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
-            return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
+    displaced = vec3.add(probe, deflection)
+    _, point, foot_normal = find_closest_on(shape, pose, displaced)
+    if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
+        return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
     tolerance, rounds = (SETTLED_STEP * radius) ** 2, MAX_SLIDING_ROUNDS
     if deflection == (0.0, 0.0, 0.0):
         rounds = MAX_ROUNDS
     hollow = is_hollow(shape)
     for _ in range(rounds):
-        depth = 0.0 if hollow else vec3.dot(vec3.sub(center, probe), normal)
-        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        if hollow:
+            goal = vec3.add(probe, vec3.reject(deflection, normal))
+        else:
+            goal = vec3.add_scaled(displaced, vec3.dot(vec3.sub(center, displaced), normal), normal)
         _, point, normal = find_closest_on(shape, pose, goal)
         landing = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(landing, center)

@@ -8,48 +8,59 @@ across edges. With spin the path deviates, see docs/model/rolling.md.
 Source: Salvietti, Malvezzi, Prattichizzo (2013), Algorithm 1 and eqs. 2-7.
 """
 
-from math import sqrt
 from typing import Any
 
 from softfinger.proxy.kernels.contact.rolling.base import Roll, land_from, roll
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quaternion, Vec3
+from softfinger.proxy.kernels.model import AnyShape, EulerZxz, EulerZyx, Quaternion, Sphere, Vec3
 from softfinger.proxy.kernels.model.vectors import ZERO
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.shapes import ahead, curvature, transport
 from softfinger.proxy.kernels.shapes.kernel_table import AHEAD, SLOTS, KernelSlot, call_kernel
+from softfinger.proxy.kernels.shapes.round import offset_curvature
 
-SLOTS[AHEAD] = KernelSlot(ahead, (0.0, ZERO, ZERO, ZERO, 0.0), ZERO)
+SLOTS[AHEAD] = KernelSlot(ahead, (0.0, ZERO, ZERO, ZERO), ZERO)
 
 
 @ahead.of(AnyShape)
-def any_ahead(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
+def any_ahead(shape: AnyShape, radius: float, center: Vec3, normal: Vec3, motion: Vec3) -> Vec3:
     if shape.kernels[AHEAD] != 0:
-        return call_kernel(shape, AHEAD, ZERO, (radius, center, normal, along, length))
-    return round_ahead(shape, radius, center, normal, along, length)
-
-
-@ahead.otherwise
-def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, along: Vec3, length: float) -> Vec3:
-    """Move along the osculating circle of the normal section; k = k_1 cos^2 + k_2 sin^2 (Euler's formula)."""
-    k1, k2, d1 = curvature(shape, radius, vec3.add_scaled(center, -radius, normal), normal)
-    c, s = vec3.dot(along, d1), vec3.dot(along, vec3.cross(normal, d1))
-    half = 0.5 * (k1 * c * c + k2 * s * s) * length
-    chord = rotations.sinc(half)
-    moved = vec3.add_scaled(center, length * rotations.sinc(2.0 * half), along)
-    return vec3.add_scaled(moved, -length * half * chord * chord, normal)
+        return call_kernel(shape, AHEAD, ZERO, (radius, center, normal, motion))
+    return round_ahead(shape, radius, center, normal, motion)
 
 
 @jit
-def roll_about(
-    shape: Any, radius: float, center: Vec3, normal: Vec3, axis: Vec3, theta: float, spin: float
-) -> Roll:  # fmt: skip
-    """Roll by `theta` rad about the unit tangent `axis`, which is zero if there is no roll."""
-    along, length = vec3.cross(axis, normal), radius * theta
-    moved = ahead(shape, radius, center, normal, along, length)
+def move_on_circle(center: Vec3, normal: Vec3, motion: Vec3, k: float) -> Vec3:
+    """Move from `center` (3,) m straight ahead by `motion` (3,) m on a circle of curvature `k`, 1/m."""
+    square = vec3.dot(motion, motion)
+    angle_square = k * k * square
+    chord = rotations.sinc_of_root(0.25 * angle_square)
+    moved = vec3.add_scaled(center, rotations.sinc_of_root(angle_square), motion)
+    return vec3.add_scaled(moved, -0.5 * k * square * chord * chord, normal)
+
+
+@ahead.of(Sphere)
+def sphere_ahead(shape: Sphere, radius: float, center: Vec3, normal: Vec3, motion: Vec3) -> Vec3:
+    return move_on_circle(center, normal, motion, offset_curvature(shape.radius, shape.side, radius))
+
+
+@ahead.otherwise
+def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, motion: Vec3) -> Vec3:
+    """Move along the osculating circle of the normal section; k = k_1 cos^2 + k_2 sin^2 (Euler's formula)."""
+    k1, k2, d1 = curvature(shape, radius, vec3.add_scaled(center, -radius, normal), normal)
+    c, s = vec3.dot(motion, d1), vec3.dot(motion, vec3.cross(normal, d1))
+    square = c * c + s * s
+    k = (k1 * c * c + k2 * s * s) / square if square > 0.0 else 0.0
+    return move_on_circle(center, normal, motion, k)
+
+
+@jit
+def roll_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, path: Vec3, spin: float) -> Roll:
+    """Roll straight ahead; `path` (3,) is that of a ball of radius 1, see `rotations.unit_roll`."""
+    motion = vec3.scale(radius, path)
+    moved = ahead(shape, radius, center, normal, motion)
     center, new_normal = land_from(shape, radius, center, normal, moved)
-    motion = transport(shape, vec3.scale(length, along), normal, new_normal)
-    return Roll(center, new_normal, motion, theta, spin, True)
+    return Roll(center, new_normal, transport(shape, motion, normal, new_normal), vec3.norm(path), spin, True)
 
 
 @roll.of(EulerZxz)
@@ -59,8 +70,8 @@ def roll_euler_zxz(method: EulerZxz, shape: Any, radius: float, center: Vec3, no
     Differs from the paper's eq. 2 in the heading: its eqs. 5-7 give the angles of ZXZ, with the heading (phi - psi) / 2
     at the middle of the step, which is the direction of the quaternion's vector part.
     """
-    theta, axis = rotations.tilt(turn, normal)
-    return roll_about(shape, radius, center, normal, axis, theta, rotations.twist(turn, normal))
+    path, spin = rotations.unit_roll(turn, normal), rotations.twist(turn, normal)
+    return roll_ahead(shape, radius, center, normal, path, spin)
 
 
 @roll.of(EulerZyx)
@@ -73,8 +84,5 @@ def roll_euler_zyx(method: EulerZyx, shape: Any, radius: float, center: Vec3, no
     x, y = rotations.tangent_frame(normal)
     v = (turn[1], turn[2], turn[3])
     psi, pitch, phi = rotations.euler_zyx((turn[0], vec3.dot(v, x), vec3.dot(v, y), vec3.dot(v, normal)))
-    theta = sqrt(psi * psi + pitch * pitch)
-    axis = (0.0, 0.0, 0.0)
-    if theta > 0.0:
-        axis = vec3.add_scaled(vec3.scale(psi / theta, x), pitch / theta, y)
-    return roll_about(shape, radius, center, normal, axis, theta, phi)
+    path = vec3.add_scaled(vec3.scale(pitch, x), -psi, y)  # (psi x + pitch y) x n
+    return roll_ahead(shape, radius, center, normal, path, phi)
