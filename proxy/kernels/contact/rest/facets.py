@@ -101,16 +101,15 @@ def slide_over_facets(
     Return its centre (3,) m, the facets that it touches, and True if it is at rest. Without a deflection, further steps
     may be necessary.
     """
-    rounds, square = MAX_SLIDING_ROUNDS, 0.0
-    if deflection == (0.0, 0.0, 0.0):
-        rounds, foot = MAX_ROUNDS, find_facet_under(objects, index, probe)
-        _, point, foot_normal, _ = find_closest_within(objects, foot, probe, BUDGET)
-        if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
-            center = vec3.add_scaled(point, radius, foot_normal)
-            return center, make_active_set(foot, foot_normal, vec3.sub(center, probe)), True
+    displaced = vec3.add(probe, deflection)
+    foot = find_facet_under(objects, index, displaced)
+    _, point, foot_normal, _ = find_closest_within(objects, foot, displaced, BUDGET)
+    if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
+        center = vec3.add_scaled(point, radius, foot_normal)
+        return center, make_active_set(foot, foot_normal, vec3.sub(center, probe)), True
+    rounds, square = MAX_ROUNDS if deflection == (0.0, 0.0, 0.0) else MAX_SLIDING_ROUNDS, 0.0
     for _ in range(rounds):
-        depth = vec3.dot(vec3.sub(center, probe), normal)
-        goal = vec3.add(probe, vec3.add_scaled(vec3.reject(deflection, normal), depth, normal))
+        goal = vec3.add_scaled(displaced, vec3.dot(vec3.sub(center, displaced), normal), normal)
         index = find_facet_under(objects, index, goal)
         _, point, normal, _ = find_closest_within(objects, index, goal, BUDGET)
         landing = vec3.add_scaled(point, radius, normal)
