@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from references.surface_points import Array, contacts, ellipsoid_foot, signed_distance, unit
 
 from softfinger.proxy.kernels import model
+from softfinger.proxy.kernels.contact.rest.one_object import rest_on
 from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.shapes import closest, curvature, transport, travel
 
@@ -347,6 +348,24 @@ def test_transport_between_opposite_normals() -> None:
 
 def test_transport_on_a_plane_is_the_identity() -> None:
     assert compiled_transport(SHAPES[0], (0.1, 0.2, 0.3), (0.6, 0.0, 0.8), (0.6, 0.0, 0.8)) == (0.1, 0.2, 0.3)
+
+
+@every_shape
+def test_a_slip_ends_at_the_point_nearest_to_the_displaced_probe(shape: Any) -> None:
+    """The displaced probe is below it along the normal, also after slips as long as the shape, outside and inside."""
+    rng, pose, settled = np.random.default_rng(3), model.Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), 0
+    for _ in range(100):
+        for point, normal, _, room in contacts(shape, rng):
+            r = min(0.2, 0.5 * room)
+            start, lengths = point + r * normal, 10.0 ** rng.uniform(-5.0, -0.5, 2)
+            probe, deflection = start - lengths[0] * r * normal, lengths[1] * np.cross(normal, unit(rng))
+            end = rest_on(shape, pose, r, triple(probe), triple(start), triple(deflection), triple(normal))
+            if np.dot(end[1], normal) <= 0.5:
+                continue  # on another side: the proxy moves round the object in more than one tick
+            off = np.cross(probe + deflection - end[0], end[1])
+            assert np.linalg.norm(off) <= 8 * EPS and abs(compiled_closest(shape, end[0])[0] - r) <= 8 * EPS
+            settled += 1
+    assert settled > 80
 
 
 @every_shape

@@ -18,8 +18,8 @@ MAX_ROUNDS = 10
 """Largest number of linearisations of a curved surface at the proxy. The digits that each of them gains depend on the
 ratio of depth to radius of curvature."""
 MAX_SLIDING_ROUNDS = 2
-"""The same for a proxy that slides, and on meshes and height maps. The remaining error is far below the slip of a tick,
-and the next tick corrects it. A proxy that has not converged is outside, not inside."""
+"""The same for a proxy that slides round an object, and on meshes and height maps. The remaining error is far below the
+slip of a tick, and the next tick corrects it. A proxy that has not converged is outside, not inside."""
 SAME_SIDE_COSINE = 0.5
 """Smallest cosine between the normals of two ticks on the same side of an object: a fingertip does not move round it in
 one tick."""
@@ -69,23 +69,20 @@ def rest_on_plane(
 def rest_on_curved(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Project the probe onto the tangent plane, that point onto the surface, and repeat from there.
+    """Return the position nearest to the displaced probe, the probe plus the deflection.
 
-    In a hollow the probe itself is displaced by the deflection, not its projection onto the tangent plane: the offset
-    surface through the probe is flatter there, and the nearest point from it is Newton's step. From the tangent plane,
-    a depth greater than the radius of the surface that the centre moves on would diverge.
-
-    Without a deflection the result is the surface point nearest to the probe, unless that is on another side of the
-    object. Then the normal has jumped, and the proxy moves round the object.
+    If it is on another side of the object, the proxy moves round the object: project the displaced probe onto the
+    tangent plane, that point onto the surface, and repeat from there. In a hollow the probe itself is displaced by the
+    deflection, not its projection onto the tangent plane: the offset surface through the probe is flatter there, and
+    the nearest point from it is Newton's step. From the tangent plane, a depth greater than the radius of the surface
+    that the centre moves on would diverge.
     """
     displaced = vec3.add(probe, deflection)
     _, point, foot_normal = find_closest_on(shape, pose, displaced)
     if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
         return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
-    tolerance, rounds = (SETTLED_STEP * radius) ** 2, MAX_SLIDING_ROUNDS
-    if deflection == (0.0, 0.0, 0.0):
-        rounds = MAX_ROUNDS
-    hollow = is_hollow(shape)
+    tolerance, hollow = (SETTLED_STEP * radius) ** 2, is_hollow(shape)
+    rounds = MAX_ROUNDS if deflection == (0.0, 0.0, 0.0) else MAX_SLIDING_ROUNDS
     for _ in range(rounds):
         if hollow:
             goal = vec3.add(probe, vec3.reject(deflection, normal))
