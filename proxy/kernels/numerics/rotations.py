@@ -32,12 +32,6 @@ def sinc_of_root(y: float) -> float:
 
 
 @jit
-def sinc(x: float) -> float:
-    """Return sin(x) / x, and 1 at 0."""
-    return sinc_of_root(x * x)
-
-
-@jit
 def angle_of(s: float, c: float) -> float:
     """Return the angle (rad) of a rotation from sine and cosine of its half: 2 atan2(s, c), for c >= 0."""
     if abs(s) < SERIES_MAX * c:

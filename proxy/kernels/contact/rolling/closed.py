@@ -45,7 +45,7 @@ def roll_over_sphere(radius: float, share: float, normal: Vec3, w: Vec3) -> tupl
     end = rotations.rotate(rotations.exp(vec3.scale(share, w)), normal)
     half = 0.5 * share * spin
     arc = vec3.scale(radius, vec3.cross(w, end))
-    motion = vec3.scale(rotations.sinc(half), turn_about(end, -half, arc))
+    motion = vec3.scale(rotations.sinc_of_root(half * half), turn_about(end, -half, arc))
     return end, motion, spin
 
 
@@ -60,7 +60,7 @@ def roll_over_cylinder(radius: float, share: float, axis: Vec3, normal: Vec3, w:
     around = vec3.dot(w, axis)
     half = 0.5 * share * around
     half_way, end = turn_about(axis, half, normal), turn_about(axis, 2.0 * half, normal)
-    mean = rotations.sinc(half)
+    mean = rotations.sinc_of_root(half * half)
     travel = radius * mean * vec3.dot(vec3.cross(half_way, axis), w)
     motion = vec3.add_scaled(vec3.scale(radius * around, vec3.cross(axis, end)), travel, axis)
     return end, motion, mean * vec3.dot(half_way, w)
