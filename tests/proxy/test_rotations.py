@@ -43,7 +43,7 @@ def test_angle_of_is_exact_to_rounding():
     assert rotations.angle_of(1.0, 0.0) == np.pi
 
 
-def test_unit_roll_is_exact_to_rounding():
+def test_roll_of_a_unit_ball_is_exact_to_rounding():
     """A tilt by theta about e, after a spin about n, moves a unit ball by theta h x n, with the heading h half-way."""
     rng = np.random.default_rng(4)
     for theta in ARGUMENTS[ARGUMENTS < 3.0].tolist():
@@ -57,9 +57,9 @@ def test_unit_roll_is_exact_to_rounding():
         heading = np.cos(0.5 * spin) * e + np.sin(0.5 * spin) * np.cross(e, n)
         # Roundings of sums of terms as large as the angles, and of n and e, which are unit vectors to rounding.
         tolerance = 4.0 * ULP * (theta + abs(spin))
-        path = rotations.unit_roll(turn, tuple(n))
+        path = rotations.roll_unit_ball(turn, tuple(n))
         np.testing.assert_allclose(path, theta * np.cross(heading, n), rtol=0, atol=tolerance)
-    assert rotations.unit_roll((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0)) == (0.0, 0.0, 0.0)
+    assert rotations.roll_unit_ball((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0)) == (0.0, 0.0, 0.0)
 
 
 def test_exp_and_log_are_inverse():

@@ -39,7 +39,7 @@ def adjust_roll_in_hollow(
     if lacks_roll or slides or not rolled.is_complete:
         # The roll winds up the coupling in the tangent plane, and friction decides where the centre moves.
         lacks_roll = True
-        path, spin = rotations.unit_roll(turn, normal), rotations.twist(turn, normal)
+        path, spin = rotations.roll_unit_ball(turn, normal), rotations.twist(turn, normal)
         unfollowed = vec3.scale(radius, path)
         rolled = Roll(center, normal, unfollowed, vec3.norm(path), spin, rolled.is_complete)
     elif is_hollow(body.shape):

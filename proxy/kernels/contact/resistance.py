@@ -43,7 +43,7 @@ def resist(
     roll = ZERO
     if not is_new:
         turn = rotations.relative(motion.probe.orientation, motion.last.orientation)
-        path = rotations.unit_roll(compute_relative_rotation(carry, turn), contact.normal)
+        path = rotations.roll_unit_ball(compute_relative_rotation(carry, turn), contact.normal)
         roll = vec3.cross(contact.normal, path)
     stiffness = max(finger.patch.rolling.share * patch.bending, MIN_STIFFNESS)
     # The energy of the wind-up is constant while load and share change, see `compute_winding_unit`.

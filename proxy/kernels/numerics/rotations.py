@@ -140,7 +140,7 @@ def twist(q: Quaternion, n: Vec3) -> float:
 
 
 @jit
-def unit_roll(q: Quaternion, n: Vec3) -> Vec3:
+def roll_unit_ball(q: Quaternion, n: Vec3) -> Vec3:
     """Return the motion of the centre of a ball of radius 1 that the unit quaternion `q` (w >= 0) rolls over a plane.
 
     n        (3,)  1    unit normal of the plane

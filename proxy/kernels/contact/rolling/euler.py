@@ -56,7 +56,7 @@ def round_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, motion: V
 
 @jit
 def roll_ahead(shape: Any, radius: float, center: Vec3, normal: Vec3, path: Vec3, spin: float) -> Roll:
-    """Roll straight ahead; `path` (3,) is that of a ball of radius 1, see `rotations.unit_roll`."""
+    """Roll straight ahead; `path` (3,) is that of a ball of radius 1, see `rotations.roll_unit_ball`."""
     motion = vec3.scale(radius, path)
     moved = ahead(shape, radius, center, normal, motion)
     center, new_normal = land_from(shape, radius, center, normal, moved)
@@ -70,7 +70,7 @@ def roll_euler_zxz(method: EulerZxz, shape: Any, radius: float, center: Vec3, no
     Differs from the paper's eq. 2 in the heading: its eqs. 5-7 give the angles of ZXZ, with the heading (phi - psi) / 2
     at the middle of the step, which is the direction of the quaternion's vector part.
     """
-    path, spin = rotations.unit_roll(turn, normal), rotations.twist(turn, normal)
+    path, spin = rotations.roll_unit_ball(turn, normal), rotations.twist(turn, normal)
     return roll_ahead(shape, radius, center, normal, path, spin)
 
 
