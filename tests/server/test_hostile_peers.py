@@ -22,8 +22,9 @@ import numpy as np
 import pytest
 from helpers.processes import COMMAND, read_memory
 from helpers.programs import Program
+from helpers.raw_peers import GREETING, dial, frame, greet
 from helpers.waits import eventually
-from test_peers_at_every_socket import GREETING, dial, greet, wait_until_closed
+from test_peers_at_every_socket import wait_until_closed
 
 from softfinger.proxy.record import AT
 from softfinger.server.socket_process.peer_socket import FILES_MAX, MEMORY_MAX
@@ -58,35 +59,11 @@ print(json.dumps(found), flush=True)
 """
 
 PEER = """
-import os, socket, struct, sys, time
-
-def dial():
-    where = sys.argv[1]
-    if where.startswith("ipc://"):
-        made = socket.socket(socket.AF_UNIX)
-        made.connect(where[6:])
-    else:
-        made = socket.create_connection(("127.0.0.1", int(where.rpartition(":")[2])))
-    made.settimeout(20.0)
-    return made
-
-def frame(body, flags=0):
-    long = len(body) > 255
-    return bytes((flags | 2 * long,)) + (struct.pack(">Q", len(body)) if long else bytes((len(body),))) + body
-
-READY = frame(b"\\x05READY\\x0bSocket-Type\\0\\0\\0\\x03SUB", 4)
-GREETING = b"\\xff" + bytes(8) + b"\\x7f\\x03\\0NULL" + bytes(48)
-
-def greeted():
-    made = dial()
-    made.sendall(GREETING + READY)
-    heard = b""
-    while b"XPUB" not in heard:  # libzmq turns away whoever goes on before it has said what it is
-        more = made.recv(100)
-        if not more:
-            raise OSError("turned away")
-        heard += more
-    return made
+import os, struct, sys, time
+from functools import partial
+sys.path.insert(0, sys.argv[2])
+from helpers.raw_peers import dial, frame, greet
+dial, greeted = partial(dial, sys.argv[1]), partial(greet, sys.argv[1], b"SUB")
 
 def attack(step):
     'With a connection each, again and again; being cut off is no reason to stop.'
@@ -97,7 +74,7 @@ def attack(step):
             pass
 
 sys.stdin.readline()
-END = time.monotonic() + float(sys.argv[2])
+END = time.monotonic() + 120.0
 kept = []
 """
 
@@ -142,6 +119,7 @@ STEPS = {
 }
 ATTACKS = {name: f"{PEER}def step():\n{step}\nattack(step)" for name, step in STEPS.items()}
 
+TESTS = str(Path(__file__).parents[1])
 SECONDS = 1.0
 """Time in which an unlimited attack among others fills 100 MB and opens all its connections."""
 GROWN_BYTES = 32e6
@@ -161,7 +139,7 @@ def read_report(process: subprocess.Popen[str]) -> Any:
 @contextmanager
 def publishing(endpoint: str, period_s: float = 0.01) -> Iterator[tuple[subprocess.Popen[str], list[Any]]]:
     """Run a process that publishes ten ticks a period; yield it with its endpoint, ring and publisher's pid."""
-    words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, str(Path(__file__).parents[1]), str(period_s)]
+    words = [sys.executable, "-W", "error", "-c", SERVER, endpoint, TESTS, str(period_s)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
     with Program([*words, str(BACKLOG)], **pipes) as process:
         try:
@@ -212,7 +190,7 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names, transport, tm
             with ExitStack() as ends:
                 peers = []
                 for name in names:
-                    program = [sys.executable, "-c", ATTACKS[name], bound, "120"]
+                    program = [sys.executable, "-c", ATTACKS[name], bound, TESTS]
                     peers.append(subprocess.Popen(program, stdin=subprocess.PIPE))
                     ends.callback(peers[-1].wait)
                     ends.callback(peers[-1].kill)
@@ -234,8 +212,7 @@ def test_groups_of_malicious_peers_do_not_affect_the_daemon(names, transport, tm
     assert files < 64  # files of the interpreter and the listener
 
 
-READY = b"\x04\x19\x05READY\x0bSocket-Type\0\0\0\x03SUB"
-SUBSCRIBE = b"\0\x08\1contact"
+SUBSCRIBE = frame(b"\1contact")
 
 
 def test_unfinished_handshakes_are_disconnected() -> None:
@@ -254,13 +231,9 @@ def test_unfinished_handshakes_are_disconnected() -> None:
 def test_connections_are_limited_by_open_files() -> None:
     with Publisher("tcp://127.0.0.1:*") as publisher, ExitStack() as peers:
         for _ in range(FILES_MAX):
-            peer = peers.enter_context(dial(publisher.endpoint, 1.0))
-            peer.sendall(GREETING + READY)
-            received = b""
-            with contextlib.suppress(TimeoutError):
-                while b"XPUB" not in received and (more := peer.recv(100)):
-                    received += more
-            if b"XPUB" not in received:
+            try:
+                peer = peers.enter_context(greet(publisher.endpoint, b"SUB", 1.0))
+            except (TimeoutError, ConnectionError):
                 break
             peer.sendall(SUBSCRIBE)
         assert eventually(lambda: publisher.figures.subscribers > FILES_MAX // 2)
@@ -285,7 +258,7 @@ with subscribe(sys.argv[1], ("contact", "event", "health")) as samples:
 @contextmanager
 def subscribers_that_do_not_read(endpoint: str) -> Iterator[None]:
     """Run a subscriber that is suspended after its first tick, and connections that never read."""
-    silent = [sys.executable, "-c", ATTACKS["subscribers who never read"], endpoint, "60"]
+    silent = [sys.executable, "-c", ATTACKS["subscribers who never read"], endpoint, TESTS]
     words = [sys.executable, "-c", STOPPED, endpoint]
     with (
         Program(words, stdout=subprocess.PIPE, text=True, kill_at_end=True) as stopped,
