@@ -20,6 +20,7 @@ from helpers.daemons import QUIET
 from helpers.processes import COMMAND
 from helpers.programs import Program
 from helpers.recorded import about, event, run
+from helpers.shortages import file_size_limit
 from helpers.waits import WAIT_S, eventually
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_protobuf.decoder import DecoderFactory
@@ -250,19 +251,6 @@ def test_a_failed_recording_sets_the_exit_code_of_the_run(tmp_path: Path) -> Non
     assert "force is zero" in rest
     (error,) = [line for line in rest.splitlines() if str(path) in line]
     assert "File too large" in error and "Traceback" not in rest
-
-
-@contextmanager
-def file_size_limit(limit: int) -> Iterator[None]:
-    """Refuse writes beyond this size of a file in this process, as a full disk does."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limits[1]))
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-        signal.signal(signal.SIGXFSZ, before)
 
 
 def ticks_by_library(path: Path) -> list[int]:
