@@ -88,7 +88,7 @@ def running(rig, scene: Scene | None = None) -> Iterator[tuple[Daemon, Control, 
     with Daemon(rig, scene or pressed_scene(), sinks=[recorder.sink], scene_name="pressed") as daemon:
         daemon.start()
         with Control(daemon.commands_endpoint, WAIT_S) as control:
-            assert eventually(recorder.is_whole)
+            assert eventually(lambda: control.heartbeat() and recorder.is_whole())  # a rig may need heartbeats
             yield daemon, control, recorder
             daemon.stop()
             assert daemon.wait(60.0)
