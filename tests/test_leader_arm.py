@@ -3,7 +3,6 @@
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from emulators.bus_servos import DYNAMIXEL, FEETECH, BusServos, Registers, crc16
+from helpers.shortages import refuse_threads
 from helpers.waits import eventually, until
 from scipy.spatial.transform import Rotation
 
@@ -212,12 +212,9 @@ def test_damaged_and_late_answers_are_not_believed(protocol: str, urdf: Path) ->
 
 
 def test_an_arm_without_a_thread_is_released(urdf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(thread: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
     with emulated() as arm:
         interval, files = sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
-        monkeypatch.setattr(threading.Thread, "start", refuse)
+        refuse_threads(monkeypatch)
         with pytest.raises(RuntimeError):
             leader.open_device(arm_options(arm, urdf), RATE_HZ)
         assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files

@@ -1,5 +1,6 @@
 """Files that a public host reads: workflows, forms, citation, compose file."""
 
+import os
 import re
 import tomllib
 from pathlib import Path
@@ -60,7 +61,10 @@ def test_ci_runs_supported_pythons_and_existing_targets() -> None:
     called = set(re.findall(r"make ([a-z-]+)", run))
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert {"lint", "docs", "test", "test-system", "wheel"} <= called <= targets
-    assert run.index("make test ") < run.index("make emulators") < run.index("make test-system")  # as .ci/run does
+    assert run.index("make test ") < run.index("make emulators") < run.index("make test-system")
+    own = re.sub(r"^#.*", "", (ROOT / ".ci" / "run").read_text(), flags=re.MULTILINE)
+    assert re.findall(r"\bmake ([a-z-]+)", own) == ["lint", "docs", "test", "emulators", "browser", "test-system"]
+    assert os.access(ROOT / ".ci" / "run", os.X_OK)
 
 
 def test_a_release_is_tested_attested_and_of_its_tag() -> None:

@@ -396,10 +396,3 @@ def test_an_override_reaches_into_lists(key: str) -> None:
 def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_scene("corner", overrides)
-
-
-def test_an_override_of_a_rig_without_a_place_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "rig.toml"
-    path.write_text('[device]\ndriver = "replay"\nrecording = "tap"\n')
-    with pytest.raises(ConfigError, match=r"flag: device\.recording\.name: .* in 'tap', which is not a table"):
-        load_rig(path, {"device.recording.name": "x"}, {"device.recording.name": "flag"})

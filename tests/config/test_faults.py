@@ -10,6 +10,7 @@ from helpers.refusals import refusal
 from hypothesis import given
 from hypothesis import strategies as st
 
+from softfinger.config import limits
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_faults
 from softfinger.config.schema import Faults, Injection
@@ -82,11 +83,27 @@ KEYS = sorted({"what", *(name for kind in get_args(Injection) for name in kind._
 
 
 @given(st.lists(st.dictionaries(st.sampled_from(["kind", *KEYS]), VALUES, max_size=5) | VALUES, max_size=3) | VALUES)
-def test_a_random_file_gives_faults_or_an_error(tables: Any) -> None:
+def test_a_random_file_is_refused_with_its_name(tables: Any) -> None:
+    """An accepted file has at least a kind and a start, which are hardly ever drawn together."""
     try:
-        made = build(Faults, {"fault": tables}, "my-faults.toml")
+        build(Faults, {"fault": tables}, "my-faults.toml")
     except ConfigError as error:
         assert "my-faults.toml: fault" in str(error)  # noqa: PT017
-        return
-    first, end, period = make_fault_table(made.fault, 1000.0)[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]].T
+
+
+def within(span: limits.Range) -> st.SearchStrategy[Any]:
+    return st.integers(span.low, span.high) if isinstance(span.low, int) else st.floats(span.low, span.high)
+
+
+TICK, TIME_S = within(limits.FAULT_TICK), within(limits.FAULT_TIME_S)
+
+
+@given(
+    st.fixed_dictionaries({"at_tick": TICK}) | st.fixed_dictionaries({"at_s": TIME_S}),
+    st.just({}) | st.fixed_dictionaries({"ticks": TICK}) | st.fixed_dictionaries({"for_s": TIME_S}),
+    within(limits.FAULT_EVERY), within(limits.RATE_HZ),
+)  # fmt: skip
+def test_every_accepted_time_is_a_window(start: dict[str, Any], span: dict[str, Any], every: int, rate_hz: float):
+    table = make_fault_table(faults(**start, **span, every_ticks=every).fault, rate_hz)
+    first, end, period = table[:, [FIRST_TICK, END_TICK, PERIOD_TICKS]].T
     assert np.isfinite([first, end, period]).all() and (first <= end).all() and (period >= 1).all()

@@ -67,10 +67,26 @@ MOTIONS: list[tuple[Any, str]] = [
     ({"frequency_hz": 2}, "object[0].motion.kind is missing"),
     ([], "object[0].motion = []: must be a table"),
 ]
+TEXTURE = {"file": "heights.npy", "size_m": [0.02, 0.02], "height_m": 2e-4}
+ROUND = {"shape": "cylinder", "radius_m": 0.05}
+TEXTURES: list[tuple[dict[str, Any], str]] = [
+    ({"texture": TEXTURE | {"height_m": None}}, "object[0].texture.height_m: is missing, as is friction_scale"),
+    (
+        {"texture": TEXTURE | {"height_m": 1.0}},
+        "texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m",
+    ),
+    ({"texture": TEXTURE | {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
+    ({"texture": TEXTURE, "shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
+    ({"texture": TEXTURE} | ROUND, "fits 15.708 times round the cylinder; must be an integer"),
+    ({"texture": TEXTURE} | ROUND, "width to 0.019635 m"),
+]
 SCENES: list[tuple[dict[str, Any], str]] = [
     *(({"material": material}, message) for material, message in MATERIALS),
     *(({"effect": [effect]}, message) for effect, message in EFFECTS),
     *(({"table": {"motion": motion}}, message) for motion, message in MOTIONS),
+    *(({"table": table}, message) for table, message in TEXTURES),
+    ({"rolling": None, "table": {"texture": TEXTURE | {"friction_scale": [0.5, 1.5]}}, "material": NONE},
+     "scales the friction of the material, which has none"),
     ({"table": TORUS, "rolling": CLOSED}, "closed form for the torus object[0]: use montana_rk4"),
     ({"table": ELLIPSOID, "rolling": CLOSED}, "closed form for the ellipsoid object[0]: use montana_rk4"),
     ({"rolling": CLOSED | {"tolerance": 1e-6}}, "tolerance = 1e-06: applies to montana_rk45"),
@@ -86,7 +102,7 @@ SCENES: list[tuple[dict[str, Any], str]] = [
     ({"fingertip": None, "finger": FINGERS}, "finger[0].patch: is missing, but another finger has a patch"),
     ({"fingertip": None, "finger": FINGERS[:1], "material": {"torsion": FOLLOWS}}, "add it, or add [finger.patch]"),
     ({"fingertip": PATCH, "rolling": None, "material": NONE}, "derived from patch and friction, but the material has"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("changes", "message"), SCENES)

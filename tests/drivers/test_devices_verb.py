@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from emulators.boards import BOARDS
 from helpers.programs import Program
+from helpers.shortages import without_rights
 from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import DeviceNotFound
@@ -106,23 +107,13 @@ def test_unreadable_tables_give_no_devices(root: Path) -> None:
     hidden = root / "hidden"
     hidden.mkdir()
     (hidden / "libdrd.so").touch()
-    for folder in (root / "sys", hidden):
-        folder.chmod(0)
-    privileged = os.geteuid() == 0
-    if privileged:
-        os.seteuid(65534)  # user nobody: root may read everything
-    try:
+    with without_rights((root / "sys", 0), (hidden, 0)):
         assert not discovery.has_usb(root) and discovery.list_names(root) == frozenset()
         assert discovery.list_attached(root) == []
         with pytest.raises(DeviceNotFound, match="the file does not exist"):
             library.load(str(hidden / "libdrd.so"))
         options = {"firmware": str(hidden / "libdrd.so")}
         assert diagnose_requirements(Claim("falcon", "usb", 0x0403, 0xCB48), options).state == "firmware"
-    finally:
-        if privileged:
-            os.seteuid(0)
-        for folder in (root / "sys", hidden):
-            folder.chmod(0o755)
 
 
 @pytest.mark.parametrize(
@@ -224,15 +215,11 @@ def test_an_arm_without_a_hidraw_node(root: Path) -> None:
 )
 @pytest.mark.skipif(os.geteuid() != 0, reason="gives a file to another user's group, which only root may do")
 def test_permission_is_diagnosed(node, mode, group, vendor, product, bus, remedy):
-    node.chmod(mode)
     os.chown(node, 0, group)
     device = at(node, vendor, product, bus)
     registry.load("forcedimension")  # its rule is printed; the other user has no cache to compile it into
-    os.seteuid(65534)
-    try:
+    with without_rights((node, mode)):
         diagnosis = diagnose(device, find_claim(device))
-    finally:
-        os.seteuid(0)
     assert diagnosis.state == "permission" and str(node) in diagnosis.reason
     assert remedy in diagnosis.remedy
 

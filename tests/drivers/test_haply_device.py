@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.haply_devices import ID, RIG, Service, opened, rig_options, settle
+from helpers.shortages import refuse_threads
 from helpers.waits import eventually, fresh, until
 
 from softfinger.config.errors import ConfigError, DeviceBusy, DeviceError, DeviceNotFound
@@ -409,9 +410,8 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
     with Service(devices=(f"inverse3:{ID}", "minverse:0A11")) as both:
         first, second = opened(both, device_id=ID), opened(both, device_id="0A11", models=None)
         assert before > switch_interval.SHORT_INTERVAL_S
-        assert sys.getswitchinterval() == pytest.approx(
-            switch_interval.SHORT_INTERVAL_S, rel=1e-2
-        )  # stored in microseconds
+        # It is stored in microseconds.
+        assert sys.getswitchinterval() == pytest.approx(switch_interval.SHORT_INTERVAL_S, rel=1e-2)
         first.close()
         assert sys.getswitchinterval() < before
         second.close()
@@ -419,14 +419,8 @@ def test_the_switch_interval_is_short_while_a_device_is_open() -> None:
 
 
 def test_a_device_without_a_thread_is_released(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    start, interval, files = threading.Thread.start, sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
-
-    def refuse(thread: threading.Thread) -> None:
-        if thread.name == "haply exchange":
-            raise RuntimeError("can't start new thread")
-        start(thread)
-
-    monkeypatch.setattr(threading.Thread, "start", refuse)
+    interval, files = sys.getswitchinterval(), len(os.listdir("/proc/self/fd"))
+    refuse_threads(monkeypatch, "haply exchange")
     with pytest.raises(RuntimeError):
         opened(service)
     assert sys.getswitchinterval() == interval and len(os.listdir("/proc/self/fd")) == files

@@ -282,7 +282,7 @@ def test_a_second_daemon_is_refused_and_an_unconfirmed_zero_is_reported(tmp_path
         running.send_signal(signal.SIGTERM)
         stderr = running.communicate(timeout=60)[1]
         assert running.returncode == 4, stderr
-        assert "zero force is not confirmed" in stderr or "zero force is not confirmed" in stderr
+        assert "zero force is not confirmed" in stderr
         assert "force is zero" not in stderr
 
 

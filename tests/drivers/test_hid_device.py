@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from emulators.woodenhaptics import Arm, Woody
 from helpers.hid_devices import RIGS, Answering, Api, described, ends, rig_options, woody
+from helpers.shortages import refuse_threads
 from helpers.waits import WAIT_S, repeated, until
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceTimeout
@@ -415,14 +416,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
 
 @pytest.mark.parametrize("refused", ["hid reader", "hid writer"])
 def test_a_device_without_a_thread_is_closed(refused: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    start = threading.Thread.start
-
-    def refuse(thread: threading.Thread) -> None:
-        if thread.name == refused:
-            raise RuntimeError("can't start new thread")
-        start(thread)
-
-    monkeypatch.setattr(threading.Thread, "start", refuse)
+    refuse_threads(monkeypatch, refused)
     before = len(os.listdir("/proc/self/fd"))
     fd, end = ends()
     api = Api(fd)

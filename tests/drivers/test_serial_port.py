@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from helpers.programs import run_program
 from helpers.serial_devices import board, opened, rig_options
+from helpers.shortages import without_rights
 from test_devices_verb import plug_serial
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
@@ -29,17 +30,12 @@ def test_ports_that_cannot_be_opened(tmp_path: Path) -> None:
         process = run_program(command, check=True)
         assert process.stdout == f"DeviceBusy {cable.path} is used by process {os.getpid()}\n"
         # TIOCEXCL also excludes programs without a lock, unless they run as root.
-        user, mine = os.geteuid(), rig_options(path=cable.path)
-        if user == 0:
-            os.chmod(cable.path, 0o666)
-            os.seteuid(65534)
-        try:
+        mine = rig_options(path=cable.path)
+        with without_rights((Path(cable.path), 0o666)):
             with pytest.raises(OSError, match="Device or resource busy"):
                 os.open(cable.path, os.O_RDWR | os.O_NOCTTY)
             with pytest.raises(DeviceBusy, match=rf"{cable.path} is used by process {os.getpid()} \("):
                 port.open_port(mine)
-        finally:
-            os.seteuid(user)
 
 
 OPEN = """

@@ -1,7 +1,7 @@
 """Seeds of `fuzzing` that are not shipped as files, and the functions of the drivers that read bytes of a device.
 
 A packet either gives finite numbers (all NaN if the device may have no pose) or is ignored. A tick with a non-finite
-pose has no force (tests/server/test_limits.py).
+pose has no force (tests/server/test_plausibility.py).
 """
 
 import io

@@ -173,12 +173,10 @@ def test_stl_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_stl_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.stl"
-    assert "it is truncated" in file_refusal(path, stl()[:-70])
     assert "has 15 bytes, fewer than the head of an STL file" in file_refusal(path, b"<!doctype html>")
     assert "states 10 triangles, but 85 bytes follow" in file_refusal(path, stl(count=10))
     assert "decimal commas" in file_refusal(path, TEXT.replace(".", ",").encode())
     assert "declares 12 faces, but has 11" in file_refusal(path, TEXT.replace("outer loop\n", "", 1).encode())
-    assert "no endsolid" in file_refusal(path, TEXT.replace("endsolid", "end").encode())
 
 
 XYZ = ["float x", "float y", "float z"]
@@ -239,7 +237,6 @@ def test_ply_files_are_read_in_full(tmp_path: Path, name: str) -> None:
 
 def test_incomplete_ply_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ply"
-    assert "declares 12 entries of face, but has 11" in file_refusal(path, PLYS["little endian"][:-1])
     assert "has other rows than its header declares" in file_refusal(path, ply(LITTLE, [INDICES], ROWS, 11))
     assert "has other rows than its header declares: 4 numbers" in file_refusal(
         path, ply("ascii", [INDICES], LINES.encode(), 11)

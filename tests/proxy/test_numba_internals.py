@@ -11,12 +11,11 @@ import numba
 import numpy as np
 import pytest
 from numba import types
-from numba.core.compiler import run_frontend
 from numba.core.registry import cpu_target
 
 from softfinger.proxy.kernels.jit import decorators
 from softfinger.proxy.kernels.jit.cache import Folder
-from softfinger.proxy.kernels.jit.compiler import numba_internals, passes
+from softfinger.proxy.kernels.jit.compiler import numba_internals
 from softfinger.proxy.kernels.jit.compiler.numba_internals import InlinedKernel, KernelCache
 from softfinger.proxy.kernels.jit.dispatch import by_type
 
@@ -267,11 +266,6 @@ def test_types_and_results_are_those_of_numba(empty_cache: None, function: Any) 
     assert kernel.dispatcher.nopython_signatures == plain.nopython_signatures
 
 
-def test_only_a_kernel_of_one_block_without_reassigned_closures_is_straight() -> None:
-    straight_kernels = [passes.is_straight(run_frontend(kernel)) for kernel in (straight, renamed, shared, branched)]
-    assert straight_kernels == [True, True, False, False]
-
-
 def test_an_in_place_operation_compiles_for_new_types() -> None:
     """`lower_binop`: numba types it as in place, and generates the code of the plain operation."""
 
@@ -283,12 +277,6 @@ def test_an_in_place_operation_compiles_for_new_types() -> None:
     assert numba.njit(**decorators.OPTIONS)(lambda x, y: kernel(x, y))(np.float32(5.0), np.float32(1.5)) == 3.5
 
 
-def test_an_error_of_type_inference_names_its_place() -> None:
-    kernel: Any = decorators.jit(lambda x: x + None)
-    with pytest.raises(numba.TypingError, match=r"test_numba_internals\.py"):
-        numba.njit(**decorators.OPTIONS)(lambda x: kernel(x))(1.0)
-
-
 def test_a_kernel_without_wrapper_is_recompiled_for_python() -> None:
     """`CPUDispatcher`: numba itself calls address 0 and crashes; a kernel of this project returns its result."""
     process = subprocess.run([sys.executable, "-c", BY_ITSELF], capture_output=True, check=False)
@@ -296,25 +284,6 @@ def test_a_kernel_without_wrapper_is_recompiled_for_python() -> None:
     kernel: Any = decorators.jit(lambda x: 2.0 * x)
     assert kernel(2.0) == 4.0
     assert "dispatcher" not in vars(kernel)  # created only for the kernel that calls it, so that imports create none
-
-
-def test_a_compiled_kernel_is_saved_and_loaded(tmp_path: Any) -> None:
-    """`_reduce`, `_rebuild`, `magic_tuple`, `_final_module`: another dispatcher loads the code from its file."""
-
-    def kernel(x: float) -> float:
-        return np.sin(x) + 1.0
-
-    folder = Folder(tmp_path / "kernels")
-    results = []
-    for _ in range(2):
-        compiled: Any = numba.njit(**decorators.OPTIONS)(kernel)
-        compiled._cache = KernelCache(kernel, folder)
-        results.append(compiled(0.5))
-        results.append(sum(compiled.stats.cache_hits.values()))
-    assert results == [results[0], 0, results[0], 1]
-    (file,) = folder.path.iterdir()
-    assert numba_internals.load(folder, file.name, cpu_target.target_context).signature == types.float64(types.float64)
-    assert numba_internals.load(folder, "none.kernel", cpu_target.target_context) is None
 
 
 def test_a_c_function_has_an_address() -> None:

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from references.laws import axis_angles, work_of_the_hand
 from references.rotation import matrix
 from test_invariants import cycle, numbers, visit
-from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, tile, wall
+from test_patches import GRIP, LATE, LIMP, SOFT, WALLS, R, engine, material, wall
+from test_seams import tile
 
 pytestmark = [pytest.mark.plain, pytest.mark.scaled]
 

@@ -4,12 +4,12 @@
 import math
 import re
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from textwrap import dedent
 from typing import Any
 
-import msgspec
 import numba
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ from softfinger.config.sources import FOLDERS
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels.contact.texture import sample
 from softfinger.proxy.kernels.jit.pack import flatten
-from softfinger.proxy.record import AT, FREE, SLIDING
+from softfinger.proxy.record import AT, FREE
 from softfinger.proxy.scene import build_scene
 from softfinger.proxy.textures import FREQUENCY_MAX_HZ, compute_bounds, filter_texture
 from softfinger.server.offline.summary import summarize_scene
@@ -48,20 +48,20 @@ ROUNDING = 1e-11
 OBLIQUE = Wave(48, 40, SIZE, 1.5 * SIZE, (3, -2))
 
 
+def textured_scene(folder: Path, grid: Array, shape: Any = None, others: Any = (), **changes: Any) -> schema.Scene:
+    """Return a scene with one textured object; changes are merged into its table."""
+    file = folder / f"{len(list(folder.iterdir()))}.npy"
+    np.save(file, grid)
+    texture = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "speed_m_per_s": SPEED}
+    table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": texture}
+    entry = merged(merged(table, shape or {}), changes)
+    tables = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
+    return build(schema.Scene, {**tables, "object": [entry, *others]}, "test")
+
+
 @pytest.fixture
 def scene(tmp_path: Path) -> Make:
-    """Return a function that makes a scene with one textured object; changes are merged into its table."""
-
-    def made(grid: Array, shape: dict[str, Any] | None = None, others: tuple[Any, ...] = (), **changes: Any) -> Any:
-        file = tmp_path / f"{len(list(tmp_path.iterdir()))}.npy"
-        np.save(file, grid)
-        texture = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "speed_m_per_s": SPEED}
-        table = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": texture}
-        entry = merged(merged(table, shape or {}), changes)
-        tables = {"fingertip": {"radius_m": R}, "probe": {"velocity_time_constant_s": 0.0}}
-        return build(schema.Scene, {**tables, "object": [entry, *others]}, "test")
-
-    return made
+    return partial(textured_scene, tmp_path)
 
 
 def over_plane(count: int, depth: float = DEPTH, seed: int = 0) -> Array:
@@ -290,10 +290,8 @@ def test_walls_of_a_corner_have_separate_textures(scene: Make) -> None:
     grid = OBLIQUE.samples()
     stuff = {"material": {"stiffness_n_per_m": 2.0 * K}}
     wall = {"name": "wall", "shape": "plane", "orientation_wxyz": [1.0, 0.0, 1.0, 0.0]} | stuff
-    second = msgspec.to_builtins(scene(grid, extent(OBLIQUE), texture={"height_m": 0.5 * HEIGHT}).object[0])
-    second = {key: value for key, value in second.items() if value not in (None, [])}
-    second |= {"name": "back", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0], "material": {"stiffness_n_per_m": K}}
-    second["texture"] = {key: value for key, value in second["texture"].items() if value is not None}
+    (second,) = describe(scene(grid, extent(OBLIQUE), texture={"height_m": 0.5 * HEIGHT}))["object"]
+    second |= {"name": "back", "orientation_wxyz": [1.0, -1.0, 0.0, 0.0]}
     at = np.array([[R - 1e-3, R - 0.8e-3, R - 1.2e-3], [R - 0.7e-3, R - 1.1e-3, R - 0.9e-3]])
     together = Engine(scene(grid, extent(OBLIQUE), others=(wall, second)))
     alone = [
@@ -335,89 +333,6 @@ def test_clamped_border_of_a_cylinder_is_level_and_repeats_around_it(scene: Make
         assert load[0] == pytest.approx(load[-1], abs=1e-9) and np.ptp(load) > 1e-3
 
 
-FRICTION = {"static": 0.6, "kinetic": 0.5}
-LAWS: dict[str, dict[str, Any]] = {
-    "coulomb": {},
-    "viscous": {"viscous_s_per_m": 2.0},
-    "alike in all directions": {"direction_x": [1.0, 0.0, 0.0]},
-}
-
-
-@pytest.mark.sampled(1)
-@pytest.mark.parametrize("law", list(LAWS))
-def test_sliding_friction_depends_on_the_sliding_point(scene: Make, law: str) -> None:
-    """Friction is mu(u, v) f_N at the contact point at the start of the tick, mu = mu_d times low + (high - low) z."""
-    low, high = 0.4, 1.6
-    texture = {"height_m": None, "friction_scale": [low, high], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
-    friction = {"stiffness_n_per_m": K, "friction": FRICTION | LAWS[law]}
-    engine = Engine(scene(OBLIQUE.samples(), texture=texture, material=friction))
-    x = np.linspace(0.0, 0.03, 400)
-    rows = engine.run(posed(np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)))
-    slides = np.flatnonzero(rows["contact.mode"] == SLIDING)[20:]  # the first 20 decay from static friction
-    before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
-    z, _, _ = OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])
-    got = rows[slides, AT.contact_tangential_force]
-    if law == "viscous":  # the slip speed is low-passed: its ripple is 3 % of the speed of the stroke
-        speed = np.hypot(1.0, 0.4) * 0.03 / 399 * 1e3
-        coefficient, rtol = FRICTION["kinetic"] + 2.0 * speed, 0.1
-        assert coefficient > 1.3 * FRICTION["kinetic"]
-    else:
-        coefficient, rtol = FRICTION["kinetic"], 1e-9  # tail of the closed form's series
-    np.testing.assert_allclose(got, coefficient * (low + (high - low) * z) * K * DEPTH, rtol=rtol)
-    assert len(slides) > 200 and np.ptp(got) > 0.3
-    np.testing.assert_allclose(rows[:, AT.force + 2], K * DEPTH, atol=ROUNDING)  # no heights
-
-
-@pytest.mark.parametrize(("x0", "value"), [(-0.25, 1.0 / 3.0), (0.25, 2.0 / 3.0)])
-def test_static_friction_is_scaled_too(scene: Make, x0: float, value: float) -> None:
-    """The drag reaches mu_s times the factor of the sticking point, from a spline of 0, 1, 0, 1."""
-    texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
-    engine = Engine(scene(np.array([[0.0, 1.0]]), texture=texture, material={"friction": FRICTION}))
-    x = x0 + np.linspace(0.0, 3e-3, 600)
-    rows = engine.run(posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1)))
-    breaks = int(np.argmax(rows["contact.mode"] == SLIDING))
-    # On the level crest and floor of a wave of 1 m, a filter of 1 mm removes 5e-6.
-    limit = FRICTION["static"] * (0.5 + 1.5 * value) * K * DEPTH
-    assert rows[breaks, AT.contact_tangential_force] == pytest.approx(limit, rel=1e-5)
-
-
-@pytest.mark.parametrize("patch", [None, {"shear_modulus_pa": 45e3, "radius_m": 0.004, "exponent": 0.0}])
-def test_the_torsional_limit_is_scaled_as_friction_is(scene: Make, patch: dict[str, float] | None) -> None:
-    """With the factor 0.5 + 1.5 2/3 a spin slips at 1.5 times mu_t f_N, or mu_s 3 pi / 16 a f_N of a patch."""
-    texture = {"height_m": None, "friction_scale": [0.5, 2.0], "size_m": [1.0, 1.0]}
-    material = {"friction": FRICTION, "torsion": {"stiffness_nm_per_rad": 0.05, "friction_length_m": 0.004}}
-    made = scene(np.array([[0.0, 1.0]]), texture=texture, material=material)
-    made = build(schema.Scene, describe(made) | {"fingertip": {"radius_m": R, "patch": patch}}, "scaled")
-    x = np.full(100, 0.25)
-    poses = posed(np.stack([x, 0.0 * x, R - DEPTH + 0.0 * x], axis=1))
-    half = np.linspace(0.0, 1.0, 100)  # 2 rad: both springs have slipped by then
-    poses[:, 3], poses[:, 6] = np.cos(half), np.sin(half)
-    rows = Engine(made).run(poses)
-    length = 0.004 if patch is None else FRICTION["static"] * 3.0 * np.pi / 16.0 * 0.004
-    # As above, the filter removes 5e-6 of the wave.
-    assert rows[-1, AT.contact_torsion] == pytest.approx(-1.5 * length * K * DEPTH, rel=1e-5)
-
-
-def test_friction_and_heights_from_one_texture(scene: Make) -> None:
-    """Sliding over a texture with heights, friction is mu_d times the factor times the resulting normal force."""
-    texture = {"friction_scale": [0.5, 1.5], "size_m": [OBLIQUE.width, OBLIQUE.depth]}
-    engine = Engine(scene(OBLIQUE.samples(), texture=texture, material={"friction": FRICTION}))
-    x = np.linspace(0.0, 0.03, 400)
-    points = np.stack([x, 0.4 * x, R - DEPTH + 0.0 * x], axis=1)
-    rows = engine.run(posed(points))
-    slides = np.flatnonzero(rows["contact.mode"] == SLIDING)[20:]
-    z, by_u, by_v = OBLIQUE.texture(CUTOFF, points[slides, 0], points[slides, 1])
-    load = K * (DEPTH - HEIGHT * (1.0 - z))
-    np.testing.assert_allclose(rows[slides, AT.contact_normal_force], load, rtol=1e-9)
-    before = rows[slides - 1, AT.proxy_position : AT.proxy_position + 3]
-    factor = 0.5 + OBLIQUE.texture(CUTOFF, before[:, 0], before[:, 1])[0]
-    drag = 0.5 * factor * load
-    np.testing.assert_allclose(rows[slides, AT.contact_tangential_force], drag, rtol=1e-9)
-    # The remaining tangential force is due to the slope.
-    rest = rows[slides, AT.force : AT.force + 2] + (load * HEIGHT)[:, None] * np.stack([by_u, by_v], axis=1)
-    np.testing.assert_allclose(np.linalg.norm(rest, axis=1), drag, rtol=1e-8)
-
-
 @examples(40, 100)
 @given(
     grid=arrays.arrays(np.float64, st.tuples(st.integers(1, 7), st.integers(2, 7)), elements=st.floats(-1e3, 1e3)),
@@ -428,11 +343,7 @@ def test_friction_and_heights_from_one_texture(scene: Make) -> None:
 def test_texture_stays_between_its_minimum_and_maximum(tmp_path_factory, grid, u, v, border):
     if grid.min() == grid.max():
         grid.flat[0] += 1.0
-    file = tmp_path_factory.mktemp("grid") / "grid.npy"
-    np.save(file, grid)
-    table = {"file": str(file), "size_m": [SIZE, SIZE], "height_m": HEIGHT, "border": border}
-    entry = {"name": "table", "shape": "plane", "material": {"stiffness_n_per_m": K}, "texture": table}
-    built = build_scene(build(schema.Scene, {"fingertip": {"radius_m": R}, "object": [entry]}, "test"))
+    built = build_scene(textured_scene(tmp_path_factory.mktemp("grid"), grid, texture={"border": border}))
     value = sample(built.objects.body.texture, u, v).value
     assert -4.0 * EPS <= value <= 1.0 + 4.0 * EPS  # weights sum to 1 up to rounding
 
@@ -450,23 +361,6 @@ def test_array_is_referenced_by_its_address_and_may_be_replaced(scene: Make) -> 
     np.testing.assert_array_equal(forces(engine, points), before)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"texture": {"height_m": None}}, "object[0].texture.height_m: is missing, as is friction_scale"),
-        ({"texture": {"friction_scale": [0.5, 1.5]}}, "scales the friction of the material, which has none"),
-        ({"texture": {"height_m": 1.0}}, "object[0].texture.height_m = 1.0: must be a number from 1e-07 to 0.01 m"),
-        ({"texture": {"border": "mirror"}}, "object[0].texture.border = 'mirror': must be"),
-        ({"shape": "sphere", "radius_m": 0.05}, "object[0].texture is not a key here"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "fits 15.708 times round the cylinder; must be an integer"),
-        ({"shape": "cylinder", "radius_m": 0.05}, "width to 0.019635 m"),
-        ({"texture": {"file": "/no/such.npy"}}, "object 'table': texture.file: /no/such.npy: cannot be read: No such"),
-    ],
-)
-def test_faulty_textures_are_refused(scene: Make, changes: dict[str, Any], message: str) -> None:
-    assert message in refusal(lambda: build_scene(scene(OBLIQUE.samples(), changes)))
-
-
 def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The documented array and scene load from another working directory; the summary of `check` has their values."""
     page = (Path(__file__).parents[2] / "docs" / "model" / "texture.md").read_text("utf-8")
@@ -474,7 +368,6 @@ def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.M
     program, table = blocks[:2]
     monkeypatch.chdir(tmp_path)
     exec(program, {})
-    assert len([line for line in program.splitlines() if line]) <= 5
     (tmp_path / "trunk.toml").write_text(table)
     monkeypatch.chdir("/")
     loaded = load_scene(tmp_path / "trunk.toml")
@@ -483,6 +376,9 @@ def test_files_are_relative_to_their_scene(tmp_path: Path, monkeypatch: pytest.M
     # ten times around, up to rounding
     assert texture.per_u == pytest.approx(10 * 128 / (2.0 * np.pi * 0.05), rel=1e-15)
     assert build(schema.Scene, describe(loaded), "again") == loaded
+    missing = load_scene(tmp_path / "trunk.toml", {"object.0.texture.file": "/no/such.npy"})
+    message = "object 'trunk': texture.file: /no/such.npy: cannot be read: No such"
+    assert message in refusal(build_scene, missing)
     summary = dict(summarize_scene(loaded))
     assert summary["    filter"].startswith("Gaussian, 0.01 left at a wavelength of 0.0004 m: 0.2 m/s at 500 Hz")
     values = texture.values.array

@@ -1,7 +1,6 @@
-"""Pose check, and limits that depend on history or position: closed forms, and all of them for random wrenches."""
+"""Limits of the force that depend on speed, heat or position: closed forms, and all of them for random wrenches."""
 
 import math
-from collections.abc import Sequence
 from math import inf
 
 import numpy as np
@@ -14,23 +13,17 @@ from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.config.sources import list_shipped
-from softfinger.drivers.base import OK, SAMPLE_SIZE, STALE, DeviceInfo
+from softfinger.drivers.base import DeviceInfo
 from softfinger.drivers.poses import load_poses
 from softfinger.drivers.resample import resample
-from softfinger.drivers.simulated.options import Simulation
-from softfinger.drivers.simulated.plant import Handle, Impedance, Intention, make_plant
-from softfinger.drivers.simulated.plant import make_rest_state as resting
-from softfinger.proxy.kernels.model import Pose, Vec3
+from softfinger.proxy.kernels.model import Pose
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING
 from softfinger.server.loop import guard as g
 from softfinger.server.loop import hand_limits as lim
-from softfinger.server.loop.guard import POSE_FROZEN, POSE_JUMPED, Guard
 from softfinger.server.loop.output import INITIAL_OUTPUT, Instant, cool_limits, limit_wrench
 from softfinger.server.loop.passivity import HandMotion
-from softfinger.server.loop.plausibility import check_pose, make_pose_memory
-from softfinger.server.loop.tick import POSITION_MAX_M, continue_memory, has_pose, make_start_memory
+from softfinger.server.loop.tick import continue_memory, make_start_memory
 from softfinger.server.loop.tuning import make_tuning, with_offsets
-from softfinger.server.offline.closed_loop import run_closed_loop
 from softfinger.server.offline.simulate import simulate
 
 pytestmark = pytest.mark.plain
@@ -174,61 +167,6 @@ def test_a_tick_of_zero_length_keeps_the_velocity():
     assert lim.smooth_velocity((0.1, 0.2, 0.3), (0.001, 0.0, 0.0), 0.0) == (0.1, 0.2, 0.3)
 
 
-def test_a_torque_fades_with_the_force():
-    guard = make_guard(energy=0.2)
-    given = 0.3 * (lim.ENERGY_TIME_CONSTANT_S + T) / lim.ENERGY_TIME_CONSTANT_S
-    passed = INITIAL_OUTPUT._replace(limit_state=lim.INITIAL_LIMITS._replace(energy_given=given))
-    passed, bits = tick(guard, passed, (50.0, 0.0, 0.0), mode=ROLLING, torque=(0.0, 0.0, 5.0))
-    assert bits & g.ENERGY_SPENT
-    assert passed.guard_state.force == pytest.approx((6.0, 0.0, 0.0), rel=1e-12)
-    assert passed.guard_state.torque == pytest.approx((0.0, 0.0, 0.15), rel=1e-12)
-
-
-def test_generated_energy_in_a_contact_fades_the_force():
-    """The energy is P tau (1 - r^n); above the limit E the force has the share s = 2 - given / E."""
-    guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
-    shares, ratio = [], lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T)
-    for n in range(8000):
-        passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.1 * T, 0.0, 0.0), ROLLING)
-        shares.append(passed.guard_state.force[0] / 4.0)
-        energy = passed.limit_state.energy_given
-        if not bits & g.ENERGY_SPENT:  # the first tick has no force before it
-            expected = 0.4 * T * ratio * (1.0 - ratio**n) / (1.0 - ratio)
-            assert energy == pytest.approx(expected, rel=1e-9) and energy <= 0.1  # a thousand rounded steps
-    whole = next(n for n, share in enumerate(shares) if share < 1.0)
-    assert whole * T == pytest.approx(-math.log(1.0 - 0.1 / 0.4), abs=3 * T)
-    # s P tau = E (2 - s): s = 2 E / (P tau + E) = 0.4; the work of a tick is forgotten a tick late, a thousandth.
-    assert shares[-1] == pytest.approx(0.4, rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("spent", "share"), [(-1.0, 1.0), (0.0, 1.0), (1.0, 1.0), (1.25, 0.75), (2.0, 0.0), (3.0, 0.0)]
-)
-def test_the_force_fades_between_once_and_twice_the_energy(spent, share):
-    limits = lim.UNLIMITED._replace(energy=0.2)
-    assert lim.compute_energy_scale(limits, 0.2 * spent) == pytest.approx(share, abs=1e-15)  # rounding
-
-
-def test_energy_from_the_hand_counts_within_a_contact_only():
-    guard, passed = make_guard(energy=0.1), INITIAL_OUTPUT
-    for moved in [-0.001] * 100 + [0.001] * 100:
-        passed, bits = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, moved), ROLLING)
-        assert bits == 0
-    assert abs(passed.limit_state.work) <= 4.0 * 0.001 * (1 + 1e-9)  # the first tick had no force yet
-    for _ in range(200):
-        passed, _ = tick(guard, passed, (0.0, 0.0, 4.0), (0.0, 0.0, -0.001), ROLLING)
-    assert passed.limit_state.work > 0.7
-    passed, _ = tick(guard, passed)
-    assert passed.limit_state.work == 0.0
-
-
-def test_free_motion_under_an_effect_gives_no_energy():
-    guard, passed = make_guard(energy=0.01), INITIAL_OUTPUT
-    for _ in range(1000):
-        passed, bits = tick(guard, passed, (4.0, 0.0, 0.0), (0.001, 0.0, 0.0))
-        assert bits == 0 and passed.limit_state.work == 0.0
-
-
 BOX = lim.Workspace((0.01, 0.0, 0.0), (0.05, 0.04, 0.03), 0.0, 500.0, 4.0)
 BALL = lim.Workspace((0.01, 0.0, 0.0), NONE, 0.07, 500.0, 4.0)
 
@@ -260,79 +198,6 @@ def test_the_wall_force_is_limited_by_the_guard():
     passed, bits = tick(make_guard(workspace=wall, slew=2000.0), INITIAL_OUTPUT, (0.0, -40.0, 0.0), at=(0.01, 0.2, 0.0))
     assert passed.guard_state.force == pytest.approx((0.0, -2.0, 0.0))
     assert bits == g.WORKSPACE_EDGE | g.FORCE_CLAMPED | g.SLEW_LIMITED
-
-
-def press_stiff_wall(energy, delay, ticks):
-    """Return the records of a light hand on a stiff wall and a device with a delay, with a limit of energy (J)."""
-    stiff = load_scene("frictionless-plane", {"object.0.material.stiffness_n_per_m": 5000.0})
-    tuning = make_tuning(stiff, schema.Guard(ramp_s=0.01), [ARM])
-    guard = tuning.guards[0]._replace(limits=lim.UNLIMITED._replace(energy=energy))
-    plant = make_plant(T, Handle((0.2,) * 3, (0.3,) * 3, delay=delay), Impedance(0.05, 0.5, 300.0))
-    wanted = np.array([0.0, 0.0, 0.005, *LEVEL])
-    device = Simulation(plant, resting((0.0, 0.0, 0.008)), Intention(1.0, 0.0, NONE, 0.0, 0.0), wanted)
-    return np.concatenate(list(run_closed_loop(tuning._replace(guards=(guard,)), [device], 1.0 / T, ticks)))[:, 0]
-
-
-@pytest.mark.parametrize("energy", [0.05, inf])
-def test_an_unstable_wall_fades(energy):
-    records = press_stiff_wall(energy, 1, 1500)
-    late = np.linalg.norm(records[1000:, AT.force : AT.force + 3], axis=1).max()
-    spent = bool((records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT).any())
-    generated = records[:, AT.limits_energy].max()
-    if energy == inf:
-        assert late == 12.0 and not spent
-    else:
-        assert late < 0.8 * 12.0 and spent and energy < generated < 2.0 * energy
-
-
-def sum_with_decay(works):
-    """Return the sums of works (J) after each work; positive sums decay as in the limit."""
-    total, sums, ratio = 0.0, [], lim.ENERGY_TIME_CONSTANT_S / (lim.ENERGY_TIME_CONSTANT_S + T)
-    for work in works:
-        total = (total + work) * (ratio if total + work > 0.0 else 1.0)
-        sums.append(total)
-    return np.array(sums)
-
-
-@pytest.mark.parametrize("late", [0, 1, 4])
-@pytest.mark.parametrize("hz", [5.0, 20.0])
-def test_energy_of_a_wall_per_cycle_follows_colgate(hz, late):
-    """On a path A (1 - cos) into a wall K within one contact, a force `late` ticks late gives the hand K A^2 N
-    sin((late + 1/2) 2 pi / N) sin(pi / N) per cycle of N ticks, which is Colgate's pi K A^2 sin(w (late + 1/2) T). The
-    limit counts the energy of late = 0, and acts before the hand got 2 late + 1 times the limit."""
-    stiffness, amplitude, count = 2000.0, 2e-3, round(1.0 / (T * hz))
-    depths = amplitude * (1.0 - np.cos(2.0 * np.pi * np.arange(60 * count) / count))
-    forces, moved = stiffness * depths, -np.diff(depths, prepend=0.0)
-    acting = np.concatenate([np.zeros(1 + late), forces])[: len(forces)]  # during the motion to each position
-    works = acting * moved
-
-    def in_a_cycle(ticks):
-        return stiffness * amplitude**2 * count * math.sin((ticks + 0.5) * 2 * np.pi / count) * math.sin(np.pi / count)
-
-    assert works[count : 2 * count].sum() == pytest.approx(in_a_cycle(late), rel=1e-9)  # a sum of roundings
-    continuous = np.pi * stiffness * amplitude**2 * math.sin(2.0 * np.pi * hz * (late + 0.5) * T)
-    assert in_a_cycle(late) == pytest.approx(continuous, rel=1.0 / count)
-    energy = 4.5 * in_a_cycle(0)
-    guard, passed, bits, spent = make_guard(force_max=40.0, energy=energy), INITIAL_OUTPUT, 0, -1
-    while not bits & g.ENERGY_SPENT:  # there are more ticks than needed, or an IndexError is raised
-        spent += 1
-        passed, bits = tick(guard, passed, (0.0, 0.0, forces[spent]), (0.0, 0.0, moved[spent]), ROLLING)
-    assert spent > 4 * count  # and some more, because a part is forgotten
-    stored = 0.5 * stiffness * depths[spent] ** 2
-    generated, counted = sum_with_decay(works)[spent] + stored, passed.limit_state.energy_given + stored
-    assert generated <= (2 * late + 1) * counted * (1.0 + 1e-9)  # rounding, for late = 0
-
-
-@pytest.mark.parametrize("late", [1, 2, 4])
-def test_a_delayed_device_gives_no_more_than_the_stated_energy(late):
-    energy = 0.05
-    records = press_stiff_wall(energy, late, 1000)
-    forces, places = (records[:, at : at + 3] for at in (AT.force, AT.probe_position))
-    acting = np.concatenate([np.zeros((1 + late, 3)), forces])[: len(forces)]  # constant from each tick to the next
-    generated = sum_with_decay(np.sum(acting * np.diff(places, axis=0, prepend=places[:1]), axis=1))
-    first = int(np.argmax(records[:, AT.servo_guard].astype(int) & g.ENERGY_SPENT != 0))
-    assert first > 0 and energy < generated[first] <= (2 * late + 1) * energy
-    assert generated.max() <= 2.0 * (2 * late + 1) * energy
 
 
 any_force = st.tuples(*[st.one_of(st.floats(-50, 50), st.floats(allow_nan=True, allow_infinity=True))] * 3)
@@ -412,97 +277,3 @@ def test_no_shipped_scene_reaches_a_limit_with_its_recordings(name):
         records = simulate(tuning, np.stack([recording[:count] for recording in poses], axis=1), 1000.0)
         bits = records[:, :, AT.servo_guard].astype(int)
         assert not (bits & (g.TOO_FAST | g.ENERGY_SPENT | g.MOTOR_HOT)).any(), recordings
-
-
-TILTED = (0.1, -0.2, 0.3, 0.5, -0.5, 0.5, 0.5)
-"""A position (m), and a unit quaternion without zeros."""
-
-
-def make_sample(*numbers: float) -> np.ndarray:
-    row = np.zeros(SAMPLE_SIZE)
-    row[: len(numbers)] = numbers
-    return row
-
-
-def replace_number(place: int, value: float) -> np.ndarray:
-    row = make_sample(*TILTED)
-    row[place] = value
-    return row
-
-
-@pytest.mark.parametrize("place", range(7))
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_no_number_may_be_missing(place: int, value: float) -> None:
-    assert has_pose(make_sample(*TILTED)) and not has_pose(replace_number(place, value))
-
-
-@pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_reach_ends_on_each_axis_on_both_sides(axis: int, side: float) -> None:
-    assert has_pose(replace_number(axis, side * POSITION_MAX_M))
-    assert not has_pose(replace_number(axis, side * math.nextafter(POSITION_MAX_M, math.inf)))
-
-
-@pytest.mark.parametrize("axis", range(4))
-def test_a_quaternion_is_about_unit(axis: int) -> None:
-    for length, is_accepted in ((0.0, False), (0.499, False), (0.5, True), (1.0, True), (2.0, True), (2.001, False)):
-        quaternion = [0.0] * 4
-        quaternion[axis] = -length
-        assert bool(has_pose(make_sample(0.0, 0.0, 0.0, *quaternion))) == is_accepted
-
-
-LIMITED = Guard(12.0, 0.3, 2000.0, 50.0, 0.5, 1.0, speed_max=10.0, turn_max=100.0, frozen=0.0105)
-Poses = Sequence[Sequence[float]]
-PUSH = (0.0, 0.0, 1.0)
-UNHELD = LIMITED._replace(speed_max=math.inf, turn_max=math.inf, frozen=0.0)
-"""Limits of a device without a hand on it: `test_guard.py`."""
-
-
-def check(poses: Poses, statuses: Sequence[int] = (), force: Vec3 = NONE, guard: Guard = LIMITED) -> list[int]:
-    """Return the result of the check for each pose, one tick apart."""
-    memory, pairs = make_pose_memory(), zip(poses, statuses or [OK] * len(poses), strict=True)
-    return [int(check_pose(guard, memory, make_sample(*pose), status, force, T)) for pose, status in pairs]
-
-
-def pose_at(x: float) -> tuple[float, ...]:
-    return (x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
-
-def turn_pose(angle: float) -> tuple[float, ...]:
-    return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
-
-
-def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
-    assert check([pose_at(5.0), pose_at(5.0099), pose_at(5.0)]) == [0, 0, 0]
-    assert check([pose_at(0.0), pose_at(0.0101), pose_at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
-
-
-def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
-    doubled = tuple(-2.0 * c if k > 2 else c for k, c in enumerate(turn_pose(0.099)))
-    assert check([turn_pose(0.0), turn_pose(0.099), turn_pose(0.0), doubled]) == [0, 0, 0, 0]
-    assert check([turn_pose(0.0), turn_pose(0.101), turn_pose(-3.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
-
-
-def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
-    broken = (math.nan,) * 7
-    for waiting, status in ((pose_at(0.0), STALE), (broken, OK)):
-        for x, expected in ((0.059, 0), (0.061, POSE_JUMPED)):
-            assert check([pose_at(0.0), *[waiting] * 5, pose_at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [expected]
-    assert check([pose_at(0.0)] * 6 + [pose_at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
-
-
-def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:
-    same, moved = [pose_at(0.009)] * 20, pose_at(math.nextafter(0.009, 1.0))
-    assert check([*same, moved], force=PUSH) == [0] * 11 + [POSE_FROZEN] * 9 + [0]
-    assert check(same, force=(0.0, 0.0, 0.009)) == [0] * 20
-
-
-def test_recorded_poses_may_jump_and_stand_still() -> None:
-    assert check([pose_at(0.0)] * 20 + [pose_at(9.0), turn_pose(3.0)], force=PUSH, guard=UNHELD) == [0] * 22
-
-
-def test_a_frozen_pose_remains_frozen_without_the_force() -> None:
-    memory = make_pose_memory()
-    for _ in range(30):
-        check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, PUSH, T)
-    assert check_pose(LIMITED, memory, make_sample(*pose_at(0.0)), OK, NONE, T) == POSE_FROZEN

@@ -8,13 +8,13 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.daemons import make_daemon
 from helpers.programs import Program
+from helpers.shortages import refuse_threads
 from helpers.telemetry_records import synthetic
 
 from softfinger.config.errors import ConfigError
@@ -233,11 +233,8 @@ def test_the_daemon_runs_without_shared_memory(tmp_path, monkeypatch, caplog):
 
 
 def test_a_relay_that_cannot_start_leaves_no_file(tmp_path, monkeypatch):
-    def refuse(thread):
-        raise RuntimeError("can't start new thread")
-
     monkeypatch.setattr(memory, "FOLDER", tmp_path)
-    monkeypatch.setattr(threading.Thread, "start", refuse)
+    refuse_threads(monkeypatch)
     gc.collect()
     before = set(os.listdir("/proc/self/fd"))
     with pytest.raises(RuntimeError):

@@ -10,6 +10,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -155,8 +156,11 @@ def make_board(*records, preparing=""):
         publisher.set_preparing(preparing)
         for some in records:
             publisher.publish(some)
+        publisher.event("test", "end")
         board = monitor.Dashboard("tcp://127.0.0.1:5555")
-        while (sample := samples.receive(0.3)) is not None:
+        for sample in samples:
+            if sample.topic == EVENT and sample["name"] == "end":
+                break
             board.update(sample)
     return board
 
@@ -198,7 +202,8 @@ def test_preparations_of_the_daemon_are_shown():
     assert "preparing: compiling kernel 12;" in monitor.format_line(board)
 
 
-def test_bars_are_empty_after_the_server_stopped():
+def test_bars_are_empty_after_the_server_stopped(monkeypatch):
+    monkeypatch.setattr(monitor, "time", SimpleNamespace(**vars(time) | {"monotonic": lambda: 0.0}))
     board = make_board(make_press())
     assert any("█" in line for line in render_text(board))
     stopped = {"schema": 1, "timestamp": 0.0, "tick": 1500, "kind": "lifecycle", "name": "stopped", "ticks": 1500}

@@ -28,6 +28,7 @@ import viser
 import zmq
 from helpers.processes import COMMAND, find_child, read_memory
 from helpers.programs import Program
+from helpers.raw_peers import CUT_S, GREETING, dial, frame, greet, make_ready
 from helpers.waits import until
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -47,10 +48,6 @@ LARGE = 45_000_000
 """Bytes of a message that no socket may read into memory. viser's own limit is 50 MB."""
 GROWN_MAX = 20_000_000
 """Largest growth of a process during an attack, bytes: room for its own work, less than half of LARGE."""
-CUT_S = 30.0
-"""Longest wait. The servers' own time-outs are 2 s for a ZMTP handshake and 10 s for a browser's."""
-GREETING = b"\xff" + bytes(8) + b"\x7f\x03\0NULL" + bytes(48)
-"""First bytes of a peer of ZeroMQ."""
 
 
 class Peers(NamedTuple):
@@ -110,31 +107,6 @@ def peers() -> Iterator[Peers]:
             daemon.terminate()
             daemon.communicate(timeout=60.0)
     assert (daemon.returncode, gateway.returncode) == (0, 0)
-
-
-def frame(body: bytes, flags: int = 0) -> bytes:
-    long = len(body) > 255
-    return bytes((flags | 2 * long,)) + (struct.pack(">Q", len(body)) if long else bytes((len(body),))) + body
-
-
-def make_ready(kind: bytes) -> bytes:
-    return frame(b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind, 4)
-
-
-def dial(address: str, wait_s: float = CUT_S) -> socket.socket:
-    peer = socket.create_connection(("127.0.0.1", urlsplit(address).port or 0), CUT_S)
-    peer.settimeout(wait_s)
-    return peer
-
-
-def greet(address: str, kind: bytes) -> socket.socket:
-    peer = dial(address)
-    peer.sendall(GREETING + make_ready(kind))
-    received = b""
-    while b"Socket-Type" not in received:
-        received += (more := peer.recv(1000))
-        assert more, "turned away"
-    return peer
 
 
 def browser(address: str) -> ClientConnection:
@@ -253,8 +225,7 @@ def unharmed(peers: Peers, name: str) -> Iterator[None]:
 
 
 @pytest.mark.parametrize(
-    ("name", "attack"),
-    [(name, attack) for name in OWNERS for attack in ATTACKS if name in ONLY.get(attack, OWNERS)],
+    ("name", "attack"), [(name, attack) for name in OWNERS for attack in ATTACKS if name in ONLY.get(attack, OWNERS)]
 )
 def test_a_socket_refuses_and_serves_on(name: str, attack: str, peers: Peers) -> None:
     with unharmed(peers, name):

@@ -273,7 +273,7 @@ def open_browser(address: str, closing: ExitStack) -> None:
 
 
 def wait_for_process(process: subprocess.Popen[str], kind: str, previous: int = 0) -> int:
-    """Wait for the process of a daemon with this role, other than `other`, and return its id."""
+    """Wait for the process of a daemon with this role, other than `previous`, and return its id."""
     found = eventually(lambda: {find_process(kind, process.pid)} - {None, previous}, START_S)
     assert found, f"no {kind}"
     return int(found.pop())

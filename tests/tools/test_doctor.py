@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +22,7 @@ import zmq
 from helpers.drd_stub import stub_library  # noqa: F401  a fixture
 from helpers.programs import run_program
 from helpers.rig_files import write_rig
+from helpers.shortages import without_rights
 from test_hid_emulated import WHY_NOT, run_beside_device
 
 from softfinger.config.errors import ConfigError, DeviceNotFound, Unfit
@@ -216,21 +216,14 @@ def test_the_devices_of_several_fingers_are_checked(tmp_path: Path) -> None:
     [("rights", "may not write to", "install --system"), ("held", "is used by process", "kill ")],
 )
 def test_a_node_that_cannot_be_used_is_bad(problem: str, reason: str, remedy: str, open_folder: Path) -> None:
-    node, user = open_folder / "hidraw5", os.geteuid()
+    node = open_folder / "hidraw5"
     node.write_bytes(b"")
     puck = SystemDevice("hid", 0x046D, 0xC626, "Puck", "", str(node))
     assert attached.check_devices(load_rig("spacemouse"), [puck])[0].state == "good"
-    if problem == "rights":
-        node.chmod(0o600 if user == 0 else 0)
-    with node.open("rb") if problem == "held" else nullcontext() as file:
+    with node.open("rb") if problem == "held" else without_rights((node, 0)) as file:
         if file is not None:
             fcntl.flock(file, fcntl.LOCK_EX)
-        elif user == 0:
-            os.seteuid(65534)
-        try:
-            (check,) = attached.check_devices(load_rig("spacemouse"), [puck])
-        finally:
-            os.seteuid(user)
+        (check,) = attached.check_devices(load_rig("spacemouse"), [puck])
     assert check.state == "bad" and reason in check.seen and remedy in check.remedy
 
 

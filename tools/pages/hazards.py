@@ -156,7 +156,7 @@ HAZARDS: Final = (
         "a wall that is unstable", "energy given in contacts, `energy_max_j`", "at once",
         "the force is reduced, finally to zero",
         f"automatic, over {hand_limits.ENERGY_TIME_CONSTANT_S:g} s", ("guard energy_spent",),
-        ("tests/server/test_limits.py::test_an_unstable_wall_fades",),
+        ("tests/server/test_energy_limit.py::test_an_unstable_wall_fades",),
     ),
     Hazard(
         "a force that is not finite", "the guard", "0 ticks", "zero", _RAMP,

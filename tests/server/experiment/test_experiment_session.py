@@ -4,20 +4,19 @@ import csv
 import json
 import random
 import re
-import resource
 import shutil
 import signal
 import subprocess
 import time
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from helpers.called import called, read_stdout
 from helpers.processes import COMMAND
+from helpers.shortages import file_size_limit
 from PIL import Image
 from test_trial_order import make_tables
 
@@ -151,22 +150,12 @@ def test_a_folder_does_not_mix_rehearsals_with_participants(finished: FinishedSe
         finished.run()
 
 
-@contextmanager
-def limit_file_size(bytes_left: int, path: Path) -> Iterator[None]:
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 def test_a_partly_written_journal_entry_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "j.jsonl"
     with Journal(path) as journal:
         journal.write("begun", trial=1)
         with (
-            limit_file_size(5, path),
+            file_size_limit(path.stat().st_size + 5),
             pytest.raises(Exhausted, match="cannot be written: File too large: earlier answers are stored"),
         ):
             journal.write("done", trial=1)
@@ -182,7 +171,7 @@ def test_a_partly_written_table_of_ticks_is_removed(tmp_path: Path) -> None:
     table = tmp_path / "sub-01" / "trials" / "sub-01_trial-0001.csv"
     rows = [{"tick": tick} for tick in range(1000)]
     with (
-        limit_file_size(100, tmp_path / "experiment.json"),
+        file_size_limit((tmp_path / "experiment.json").stat().st_size + 100),
         pytest.raises(Exhausted, match="cannot be written: File too"),
     ):
         folder.ticks(1, 1, rows)
@@ -316,9 +305,8 @@ def test_a_title_of_any_characters_is_drawn(tmp_path: Path, caplog: pytest.LogCa
 @pytest.mark.usefixtures("finished")
 def test_figures_that_cannot_be_written_are_one_error(tmp_path: Path) -> None:
     (tmp_path / "figures").mkdir()
-    (tmp_path / "figures" / "numbers.csv").touch()
     (tmp_path / "figures" / "fit.png").write_bytes(b"old")
-    with limit_file_size(2000, tmp_path / "figures" / "numbers.csv"):
+    with file_size_limit(2000):
         result = called("figure", str(tmp_path))
     fault = f"{tmp_path / 'figures'}: cannot be written: File too large: make room, or name another folder"
     assert result.returncode == Exhausted.exit_code and fault in result.stderr
@@ -381,7 +369,3 @@ def test_a_missing_or_changed_scene_stops_a_session(tmp_path: Path) -> None:
         Experiment(file).run(out, 1, OFFLINE)
     (tmp_path / "moved.toml").rename(scene)
     assert Experiment(file).run(out, 1, OFFLINE) == rows
-
-
-def test_the_verb_lists_shipped_experiments() -> None:
-    assert [line.split()[0] for line in read_stdout("experiments").splitlines()] == list_names(EXPERIMENTS)

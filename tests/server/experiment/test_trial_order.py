@@ -106,6 +106,8 @@ def test_practice_comes_first() -> None:
         ({"task.parameter": "rig.guard.force_max_n", "task.reference": 40.5, "task.more": "down"},
          "guard.force_max_n = 40.5"),
         ({"task.kind": "rate", "task.reference": None, "task.scale": [7, 1]}, "the first mark, from 1"),
+        ({"task.kind": "rate", "task.reference": None, "procedure.kind": "staircase"},
+         "must be constant: answers of rate are not right or wrong"),
         ({"task.scale": [1, 7]}, "only rate has a scale"),
         ({"task.scale_ends": ["soft", "hard"]}, "requires scale"),
         ({"factor.0.scenes": {"a": "sphere"}}, "set one of parameter, scenes and values"),
@@ -137,12 +139,6 @@ def test_a_rating_stays_on_its_scale() -> None:
     procedure = {"kind": "constant", "levels": [0.1, 1.0, 3.0]}
     experiment = Experiment(make_tables(task=task, observer=observer, procedure=procedure))
     assert {row["answer"] for row in experiment.rehearse()} <= {float(mark) for mark in experiment.file.task.marks}
-
-
-def test_numbers_are_no_comparison() -> None:
-    task = {"kind": "rate", "parameter": STIFFNESS, "question": "How stiff?"}
-    with pytest.raises(ConfigError, match="must be constant: answers of rate are not right or wrong"):
-        Experiment(make_tables(task=task, procedure={"kind": "staircase"}))
 
 
 ROLLING, SLIDING = 1, 2

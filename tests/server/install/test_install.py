@@ -12,6 +12,7 @@ from unittest.mock import Mock
 import pytest
 from helpers.called import called
 from helpers.forgotten import forget_user
+from helpers.shortages import without_rights
 
 from softfinger.config.errors import ConfigError, Exhausted
 from softfinger.server.cli import main
@@ -149,19 +150,10 @@ def test_without_permission_there_is_one_clear_line(root: Path, removes: bool) -
     before = content(root) if root.exists() else {}
     (root / "etc").mkdir(parents=True, exist_ok=True)
     folders = [root, *(path for path in root.rglob("*") if path.is_dir())]
-    for folder in folders:
-        folder.chmod(0o555)
-    user = os.geteuid()
-    if user == 0:  # root ignores modes
-        os.seteuid(65534)
-    try:
+    refused = pytest.raises(ConfigError, match=r"may not be changed by this user.*omit --system")
+    with without_rights(*((folder, 0o555) for folder in folders)), refused as caught:
         ledger = Ledger(root, SYSTEM.record)
-        with pytest.raises(ConfigError, match=r"may not be changed by this user.*omit --system") as caught:
-            list(ledger.remove() if removes else ledger.write(files))
-    finally:
-        os.seteuid(user)
-        for folder in folders:
-            folder.chmod(0o755)  # otherwise only root could delete it
+        list(ledger.remove() if removes else ledger.write(files))
     assert "\n" not in str(caught.value)
     assert content(root) == before
 

@@ -31,6 +31,7 @@ from helpers.fuzzing import mutated
 from helpers.pages import CAMERA, is_served, step_until
 from helpers.processes import COMMAND, find_child, has_exited, read_memory
 from helpers.programs import Program
+from helpers.shortages import refuse_threads
 from helpers.waits import ends_within
 from viser._messages import GuiUpdateMessage
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -111,16 +112,12 @@ def test_a_page_that_hangs_at_start_is_killed(start_page: Any, monkeypatch: pyte
     assert len(reports) == 1 and "the page has ended, with exit code -9" in reports[0]
 
 
-def refuse_thread(thread: threading.Thread) -> None:
-    raise RuntimeError("can't start new thread")
-
-
 @pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # the pipe of each crashed page, until collected
 @pytest.mark.parametrize("has_threads", [True, False])
 def test_a_page_that_crashes_repeatedly_restarts_three_times(has_threads: bool, start_page: Any, monkeypatch) -> None:
     page, reports = start_page("echo http://localhost:1/secret/\nexit 3")
     if not has_threads:
-        monkeypatch.setattr(threading.Thread, "start", refuse_thread)
+        refuse_threads(monkeypatch)
     assert eventually(lambda: page.supervise() or len(reports) > RESTARTS)
     page.supervise()
     page.close()
