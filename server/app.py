@@ -22,7 +22,13 @@ from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.command_handlers import DaemonInterface
 from softfinger.server.services.command_service import CommandService
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.monitoring import DeviceWarningMonitor, HotplugDetector, HotplugMonitor, SwapMonitor
+from softfinger.server.services.monitoring import (
+    DeviceWarningMonitor,
+    HotplugDetector,
+    HotplugMonitor,
+    SocketFileMonitor,
+    SwapMonitor,
+)
 from softfinger.server.services.recordings import BlackBoxes, Recordings
 from softfinger.server.services.records import RecordService, Sink, TelemetryService
 from softfinger.server.services.rendering import Rendering
@@ -338,6 +344,7 @@ class Daemon:
             HotplugMonitor(hotplug, self._publish_event),
             DeviceWarningMonitor(lambda: self.devices, self._publish_event),
             SwapMonitor(self._publish_event),
+            SocketFileMonitor(self.publisher.rebind, self._publish_event),
             WorldPublisher(self.servo, self._send_message, self._publish_event),
             *optional_services,
             *([ServiceNotifier(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),
