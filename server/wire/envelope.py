@@ -16,6 +16,7 @@ import msgpack
 import msgspec
 from msgspec import Meta, Struct
 
+from softfinger.config.words import describe_pattern
 from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
 from softfinger.server.wire.commands import METHODS, ErrorName, describe_fields
 
@@ -74,6 +75,7 @@ _BOOT: Final = _read_boot_id()
 def _explain(error: msgspec.ValidationError) -> str:
     """Return msgspec's message with the parameter first: `release: Expected `bool`, got `str``."""
     text = re.sub(r"^Object missing required field `(\w+)`", r"\1 is missing", str(error))
+    text = re.sub(r"matching regex '(.*)'", lambda match: describe_pattern(match[1]), text)
     return re.sub(r"^(.*) - at `\$\.?(.+)`$", r"\2: \1", text)
 
 
