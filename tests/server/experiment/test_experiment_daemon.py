@@ -25,7 +25,7 @@ from helpers.programs import Program
 from helpers.waits import WAIT_S, repeated
 from test_trial_order import STIFFNESS, make_tables
 
-from softfinger.config.errors import CommandRefused, DeviceLost, HapticError, RecordingError, SafetyStop
+from softfinger.config.errors import CommandRefused, DeviceLost, Exhausted, HapticError, SafetyStop
 from softfinger.config.materials import load_materials
 from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.proxy.record import FREE
@@ -207,7 +207,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
     monkeypatch.setattr(Haptics, "touch", touch_and_note)
     monkeypatch.setattr(Haptics, "_store", store_and_fill_disk)
     try:
-        with pytest.raises(RecordingError) as ended:
+        with pytest.raises(Exhausted) as ended:
             Experiment(experiment()).run(out, 1, settings(tmp_path))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
