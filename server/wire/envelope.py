@@ -19,6 +19,7 @@ from msgspec import Meta, Struct
 from softfinger.config.words import describe_pattern
 from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
 from softfinger.server.wire.commands import METHODS, ErrorName, describe_fields
+from softfinger.server.wire.protocol import encode
 
 DEPTH_MAX: Final = 16
 """Nesting depth of maps and lists; a scene has 6."""
@@ -141,13 +142,10 @@ def _is_plain(decoded: Any) -> bool:
     return False
 
 
-_ENCODER: Final = msgspec.msgpack.Encoder()
-
-
 def encode_answer(command_id: str, result: Any) -> bytes:
-    return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
+    return encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
 def encode_refusal(reason: DeclinedRequest, command_id: str = "") -> bytes:
     refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
-    return _ENCODER.encode(refusal)
+    return encode(refusal)

@@ -159,7 +159,7 @@ class Publisher(Closeable):
             self._state_info,
             [listener for listener in self._endpoints.listeners if listener.name == name],
         )
-        send(Kind.SETUP, b"", msgspec.msgpack.encode(setup))
+        send(Kind.SETUP, b"", encode(setup))
 
     def _report_restart(self, text: str) -> None:
         self.report_event("fault", "publisher", message=text)
@@ -223,7 +223,7 @@ class Publisher(Closeable):
         with self._lock:
             self._state_info = state_info
             if not self._closed:
-                self._link.send(Kind.STATE_INFO, body=msgspec.msgpack.encode(state_info))
+                self._link.send(Kind.STATE_INFO, body=encode(state_info))
 
     def set_preparing(self, text: str) -> None:
         """Set the progress of a scene in preparation, which `health` contains from now on.

@@ -204,7 +204,12 @@ RIG_FAULTS = [
     ("telemetry.endpoint", "tcp://127.0.0.1:65536", ["port 0 to 65535"]),
     ("telemetry.endpoint", "udp://127.0.0.1:5555", ["must be tcp://HOST:PORT"]),
     ("telemetry.endpoint", "ipc://", ["must have a path of 1 to 107 bytes"]),
-    ("telemetry.endpoint", "ipc:///" + 99 * "x", ["commands.endpoint: ipc:///xxx", "is too long: set one"]),
+    ("telemetry.endpoint", "ipc:///tmp/\udcff", ["must have a path in UTF-8"]),
+    (
+        "telemetry.endpoint",
+        "ipc:///" + 99 * "x",
+        ["commands.endpoint: ipc:///xxx", "must have a path of 1 to 107 bytes: set another"],
+    ),
     ("commands.endpoint", "tcp://0.0.0.0:5556", ["commands.endpoint = 'tcp://0.0.0.0:5556': is open to the network"]),
     ("commands.endpoint", "tcp://127.0.0.1:5555", ["is also the telemetry endpoint"]),
     ("commands.endpoint", "none", ["must be tcp://HOST:PORT", "or off"]),
