@@ -20,7 +20,7 @@ from softfinger.config.fields import is_usable
 from softfinger.config.overrides import CHANGES_EXAMPLE, change_values
 from softfinger.config.scalars import Fault
 from softfinger.config.schema import Faults, Heightmap, Mesh, Object, Rig, Scene, Textured
-from softfinger.config.sources import FOLDERS, find, format_path, read_toml
+from softfinger.config.sources import FOLDERS, choose_folder, find, format_path, read_toml
 from softfinger.config.validate import examine
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -76,7 +76,8 @@ def load_scene(
     Returns
     -------
     Scene
-        Files that it names are relative to the folder of the scene file, or to the working directory for a mapping.
+        Files that it names are relative to the folder of the scene file, or to the working directory for a mapping. If
+        the scene file is a symbolic link and a file is not in the folder of the link, it is relative to its target's.
 
     Raises
     ------
@@ -102,12 +103,12 @@ def load_scene(
         return apply_overrides(scene, overrides, "override") if overrides else scene
     if isinstance(scene, Mapping):
         return add_objects_of_world(build_changed(Scene, scene, "scene", overrides, sources))
-    folder = find(scene, Scene).parent
+    file = find(scene, Scene)
     try:
         loaded = _load(Scene, scene, overrides, sources)
     except FaultyConfig as error:
-        raise FaultyConfig(error.faults, _resolve_files(folder, error.config)) from error
-    return add_objects_of_world(_resolve_files(folder, loaded))
+        raise FaultyConfig(error.faults, _resolve_files(file, error.config)) from error
+    return add_objects_of_world(_resolve_files(file, loaded))
 
 
 def load_rig(
@@ -117,13 +118,13 @@ def load_rig(
 
     An override that changes `device.driver` drops the device options of the file, since they belong to another driver.
     An override of `device` applies to each [devices.NAME] of the file. Paths in [security] are relative to the folder
-    of the file.
+    of the file, as those of a scene.
     """
     rig = _load(Rig, path_or_name, {} if overrides is None else overrides, {} if sources is None else sources)
     if rig.security is None:
         return rig
-    folder = find(path_or_name, Rig).parent
-    paths = {key: str(folder / path) for key, path in describe(rig.security).items()}
+    file = find(path_or_name, Rig)
+    paths = {key: str(choose_folder(file, path) / path) for key, path in describe(rig.security).items()}
     return msgspec.structs.replace(rig, security=msgspec.structs.replace(rig.security, **paths))
 
 
@@ -182,26 +183,30 @@ def add_objects_of_world(scene: Scene) -> Scene:
     return build(Scene, describe(with_geoms(scene)), f"{scene.world.model} in the scene")
 
 
-def _resolve_files(folder: Path, scene: Scene) -> Scene:
+def _resolve_files(scene_file: Path, scene: Scene) -> Scene:
     objects, world = scene.object, scene.world
     if is_usable(objects):
-        objects = tuple(_resolve_path(folder, obj) if is_usable(obj) else obj for obj in objects)
+        objects = tuple(_resolve_path(scene_file, obj) if is_usable(obj) else obj for obj in objects)
     if is_usable(world) and world is not None and is_usable(world.model, world.root):
+        folder = choose_folder(scene_file, world.model)
         root = None if world.root is None else str(folder / world.root)
         world = msgspec.structs.replace(world, model=str(folder / world.model), root=root)
     return msgspec.structs.replace(scene, object=objects, world=world)
 
 
-def _resolve_path(folder: Path, obj: Object) -> Object:
+def _resolve_path(scene_file: Path, obj: Object) -> Object:
     elastic = getattr(obj, "elastic", None)
     if is_usable(elastic) and elastic is not None and is_usable(elastic.solution) and elastic.solution is not None:
+        folder = choose_folder(scene_file, elastic.solution)
         elastic = msgspec.structs.replace(elastic, solution=str(folder / elastic.solution))
         obj = msgspec.structs.replace(obj, elastic=elastic)
     if isinstance(obj, Heightmap | Mesh) and is_usable(obj.file, obj.root):
+        folder = choose_folder(scene_file, obj.file)
         root = None if obj.root is None else str(folder / obj.root)
         return msgspec.structs.replace(obj, file=str(folder / obj.file), root=root)
     if isinstance(obj, Textured) and is_usable(obj.texture) and obj.texture is not None and is_usable(obj.texture.file):
-        texture = msgspec.structs.replace(obj.texture, file=str(folder / obj.texture.file))
+        folder, texture = choose_folder(scene_file, obj.texture.file), obj.texture
+        texture = msgspec.structs.replace(texture, file=str(folder / texture.file))
         return msgspec.structs.replace(obj, texture=texture)
     return obj
 

@@ -8,6 +8,7 @@ parsed, nesting in the result.
 from __future__ import annotations
 
 import errno
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -116,6 +117,15 @@ def find_in(folder: Path, kind: str, path_or_name: str | Path) -> Path:
         f"no {kind} is called {format_value(path_or_name)}{suggest(path_or_name, names)}; "
         f"shipped are {', '.join(names)}; name another file by its path with suffix, such as {example}"
     )
+
+
+def choose_folder(file: Path, name: str) -> Path:
+    """Return the folder of `file`, or of its target if it is a link and only that folder contains the path `name`."""
+    if file.is_symlink() and not os.path.lexists(file.parent / name):
+        folder = file.resolve().parent
+        if os.path.lexists(folder / name):
+            return folder
+    return file.parent
 
 
 def read_toml(path: str | Path, where: str | None = None) -> dict[str, Any]:

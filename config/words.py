@@ -49,6 +49,21 @@ _INDEX: Final = re.compile(r"\[\d+\]")
 _VALUE_LENGTH_MAX: Final = 60
 
 
+PATTERNS: Final = {
+    "^[A-Za-z0-9_-]+$": "with only A to Z, a to z, 0 to 9, - and _",
+    r"^[\w .+-]+$": "with only letters, digits, spaces and . + - _",
+    "^(#[0-9a-fA-F]{6})?$": "like #3366cc, or empty",
+    r"^\d+\.\d+(\.\d+)?$": "like 3.5 or 3.5.1",
+    "^(none|white|pink)$": "that is none, white or pink",
+    "^(data:image/(png|jpeg|webp);base64,[A-Za-z0-9+/=]+)?$": "with a data URL of a PNG, JPEG or WebP image, or empty",
+}
+"""Descriptions of the regular expressions of texts."""
+
+
+def describe_pattern(pattern: str) -> str:
+    return PATTERNS.get(pattern, f"like {pattern}")
+
+
 def describe_allowed(info: inspect.Type, key: str) -> str:
     """Describe the allowed values of a field, such as `a number from 0 to 40 N`."""
     kind, _ = unwrap(info)
@@ -57,7 +72,8 @@ def describe_allowed(info: inspect.Type, key: str) -> str:
             noun = "an integer" if isinstance(kind, inspect.IntType) else "a number"
             return f"{noun}{_describe_range(kind)}{_format_unit(key)}"
         case inspect.StrType():
-            return "text" + _describe_length(kind, "characters") + (f" like {kind.pattern}" if kind.pattern else "")
+            words = f" {describe_pattern(kind.pattern)}" if kind.pattern else ""
+            return f"text{_describe_length(kind, 'characters')}{words}"
         case inspect.LiteralType():
             return format_choice(kind.values)
         case inspect.BoolType():

@@ -11,18 +11,24 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from softfinger.config import schema
-from softfinger.config.errors import HapticError, RealtimeError
+from softfinger.config.errors import HapticError
 from softfinger.drivers import base
-from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.server.loop import realtime, shutdown
 from softfinger.server.loop.clock import NS_PER_S
 from softfinger.server.loop.guard import GUARD_NAMES
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.command_handlers import DaemonInterface
 from softfinger.server.services.command_service import CommandService
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.monitoring import DeviceWarningMonitor, HotplugDetector, HotplugMonitor, SwapMonitor
+from softfinger.server.services.monitoring import (
+    DeviceWarningMonitor,
+    HotplugDetector,
+    HotplugMonitor,
+    SocketFileMonitor,
+    SwapMonitor,
+)
 from softfinger.server.services.recordings import BlackBoxes, Recordings
 from softfinger.server.services.records import RecordService, Sink, TelemetryService
 from softfinger.server.services.rendering import Rendering
@@ -82,8 +88,7 @@ class Daemon:
         scene_name: str = "unnamed",
         faults: schema.Faults | None = None,
     ) -> None:
-        if PLAIN:
-            raise RealtimeError("NUMBA_DISABLE_JIT is set, but the servo loop needs machine code: unset it")
+        require_machine_code("the servo loop")
         self._report = report
         self._rig = rig
         self._failure: HapticError | None = None
@@ -338,6 +343,7 @@ class Daemon:
             HotplugMonitor(hotplug, self._publish_event),
             DeviceWarningMonitor(lambda: self.devices, self._publish_event),
             SwapMonitor(self._publish_event),
+            SocketFileMonitor(self.publisher.rebind, self._publish_event),
             WorldPublisher(self.servo, self._send_message, self._publish_event),
             *optional_services,
             *([ServiceNotifier(self.servo, os.environ)] if os.environ.get("NOTIFY_SOCKET") else []),

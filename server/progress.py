@@ -66,7 +66,7 @@ def show_progress(
 ) -> Iterator[Callable[[int], None]]:
     """Report progress of `label` to stderr during the block; call the result with the number done, out of `total`.
 
-    While `detail` returns a text, that text replaces the share. One thread at a time calls `detail`.
+    While `detail` returns a text, that text follows the share. One thread at a time calls `detail`.
     """
     operations: list[_Operation] = _this_thread.__dict__.setdefault("operations", [])
     if operations:
@@ -127,10 +127,10 @@ def _open_display(label: str, total: int | None, detail: Callable[[], str]) -> I
 def format_progress(
     label: str, count: float = 0, total: int | None = None, detail: Callable[[], str] = describe_compilation
 ) -> str:
-    """Return the text of the progress line: `simulating: compiling kernel 1`, after that `simulating 40%`."""
-    if text := detail():
-        return f"{label}: {text}"
-    return f"{label} {count / total:.0%}" if total else label
+    """Return the text of the progress line: `measuring: compiling kernel 1`, `measuring 40%: compiling kernel 9`."""
+    text = detail()
+    shown = f"{label} {count / total:.0%}" if total and (count or not text) else label
+    return f"{shown}: {text}" if text else shown
 
 
 @contextmanager

@@ -26,6 +26,7 @@ from softfinger.config.schema import Rig
 from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device, DeviceIO
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.atomics import call_device, load_acquire, store_release
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import c_function, entry, jit
 from softfinger.proxy.kernels.model import Vec3
 from softfinger.server.loop import realtime, shutdown
@@ -41,6 +42,7 @@ from softfinger.server.loop.clock import (
 )
 from softfinger.server.loop.fault_detection import STALL_POLL_S, Watchdog
 from softfinger.server.loop.guard import INITIAL_GUARD_STATE, Guard, GuardState, guard_wrench
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.progress import show_progress
 from softfinger.tools.measure import Array
 
@@ -248,6 +250,10 @@ def exchange_loop(
     return ending, status, 0 if span.waiting == 1 else number
 
 
+KERNELS: Final = 80
+"""Kernels that the exchange compiles with an empty cache: rounded up for the rig `simulated` (72)."""
+
+
 def make_scratch() -> Buffers:
     return Buffers(np.zeros(2, np.int64), np.zeros(SAMPLE_SIZE), np.zeros(6))
 
@@ -256,6 +262,8 @@ def compile_exchange() -> None:
     """Compile the loop, which its thread would otherwise do after it has armed the device."""
     like = (DeviceIO(0, 0, 0), DeviceIO(0, 0, 0), PartTiming(0, 0, 0), NO_PUSH, Guard(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     arguments = (*like, np.zeros(8, np.int64), make_scratch(), np.zeros((1, ROW_SIZE)))
+    require_machine_code("the exchange")
+    COMPILE_PROGRESS.expect(KERNELS)
     with show_progress("kernels of the exchange"):
         exchange_loop.compile(tuple(numba.typeof(argument) for argument in arguments))  # type: ignore[attr-defined]
 

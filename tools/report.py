@@ -25,6 +25,7 @@ from softfinger.config.files import make_write_error, open_input, write_new_file
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.mcap_messages import iter_mcap_messages
 from softfinger.drivers.system import discovery
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.recording import blackbox
 from softfinger.server.recording.reader import Event, Note, TickBlock, read_contents
 from softfinger.server.recording.schemas import load_message_class
@@ -42,6 +43,7 @@ LEVEL_STEP: Final = 10
 def run(args: argparse.Namespace) -> int:
     """Write the archive, completely or not at all; returns 0. Raises the errors of `make_write_error`."""
     check_seconds(args.seconds)
+    require_machine_code("the doctor")
     if args.boxes < 0:
         raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
     rig, scene = load_rig(args.rig), load_scene(args.scene)

@@ -64,7 +64,10 @@ def is_public(endpoint: str) -> bool:
 def check_endpoint(endpoint: str) -> str | None:
     """Return the fault of a ZeroMQ address to bind; None if it is valid."""
     if endpoint.startswith("ipc://"):
-        size = len(endpoint.removeprefix("ipc://").encode(errors="replace"))
+        try:
+            size = len(endpoint.removeprefix("ipc://").encode())
+        except UnicodeEncodeError:
+            return "must have a path in UTF-8"
         return None if 0 < size <= IPC_PATH_MAX else f"must have a path of 1 to {IPC_PATH_MAX} bytes"
     match = _TCP.fullmatch(endpoint)
     if match is None or (match[2] != "*" and int(match[2]) > _PORT_MAX):

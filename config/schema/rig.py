@@ -20,7 +20,7 @@ from softfinger.config.fields import (
     sized,
     within,
 )
-from softfinger.config.schema.addresses import IPC_PATH_MAX, check_endpoint, is_public, make_commands_address
+from softfinger.config.schema.addresses import check_endpoint, is_public, make_commands_address
 from softfinger.config.schema.guard import Guard, HandlePosition
 
 RealtimeMode = Literal["auto", "require", "off"]
@@ -235,9 +235,10 @@ class Rig(Table, frozen=True, kw_only=True):
         if check_endpoint(self.telemetry.endpoint) is not None:
             return
         commands = self.commands_endpoint
-        if commands is not None and check_endpoint(commands) is not None and self.commands.endpoint is None:
+        reason = None if commands is None or self.commands.endpoint is not None else check_endpoint(commands)
+        if reason is not None:
             fault = (
-                f"{commands}, derived from the telemetry endpoint, is too long: set one of at most {IPC_PATH_MAX} bytes"
+                f"{commands}, derived from the telemetry endpoint, {reason}: set another endpoint, or XDG_RUNTIME_DIR"
             )
             yield "commands.endpoint", msgspec.UNSET, fault
         elif commands == self.telemetry.endpoint and not commands.endswith((":*", ":0")):

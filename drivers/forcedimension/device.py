@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -58,6 +59,7 @@ class ForceDimension(BlockDevice):
             )
         self._library = selection.load(options.library_file)
         self._options = options
+        self._closing = threading.Lock()
         self._block = Block(AT)
         self._word = self._block.word
         self._word[AT.cause] = -1
@@ -89,7 +91,8 @@ class ForceDimension(BlockDevice):
 
     def close(self) -> None:
         self.stop()
-        if not self._word[AT.open]:
+        # Once: another thread or a signal handler may close it at the same time, and the next device reuses its id.
+        if not self._word[AT.open] or not self._closing.acquire(blocking=False):
             return
         self._word[AT.open] = 0
         self._run_locked(lambda: self._library.drdClose(self._id))

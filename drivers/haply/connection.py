@@ -30,6 +30,8 @@ from softfinger.drivers.haply.messages import (
     PoseReading,
     encode_command,
     find_force_key,
+    format_moved,
+    format_no_state,
     is_identity,
     parse_version,
     read_inventory,
@@ -84,7 +86,9 @@ def open_connection(options: Options) -> Connection:
             connection = Connection(
                 link, lock, device, grip, key, read_state(link.wait_for_message(until), device, grip)
             )
-        except (Malformed, Missing) as error:
+        except Missing as error:
+            raise DeviceError(str(error)) from None
+        except Malformed as error:
             raise DeviceError(f"{error}: check that this is the Inverse Service, of version 3.1 to 3.5") from None
         resources.pop_all()
         return connection
@@ -133,7 +137,7 @@ def choose_device(
 
 def _find_model(ref: DeviceRef, entry: InventoryEntry) -> str:
     """Return the model of a device: the type in its configuration, or the name of the list that contains it."""
-    return entry.config.type if entry.config.type in GROUPS else ref.group
+    return entry.config.type if entry.config is not None and entry.config.type in GROUPS else ref.group
 
 
 def choose_grip(inventory: Inventory, grip_id: str) -> DeviceRef | None:
@@ -207,10 +211,10 @@ def _apply_filters(
     options: Options, version: tuple[int, int], device: DeviceRef, entry: InventoryEntry, session: int, until: float
 ) -> None:
     """Set the service's filters as in the rig; raises DeviceError if it rejects one."""
+    if entry.state is None or entry.config is None:
+        raise DeviceError(format_no_state(device))
     if not (is_identity(entry.config.mount) and is_identity(entry.state.transform)):
-        raise DeviceError(
-            f"{device}: the service moves, turns or scales its positions: reset mount and workspace in the Haply Hub"
-        )
+        raise DeviceError(format_moved(device))
     for path, body in _list_config_requests(version, device, entry.config, options.filters, session):
         status, answer = request(options.port, "POST", path, body, until)
         if status != 200 or not is_applied(answer, body):

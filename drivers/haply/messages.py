@@ -39,7 +39,7 @@ class Malformed(Exception):
 
 
 class Missing(Exception):
-    """The service does not list the device or its grip."""
+    """The service does not list the device or its grip, or not with a usable state."""
 
 
 class Vector(Struct):
@@ -63,6 +63,7 @@ class Buttons(Struct):
 
 class DeviceState(Struct):
     cursor_position: Vector
+    transform: dict[str, Any] | None = None
 
 
 class GripState(Struct):
@@ -92,13 +93,13 @@ class Config(Struct):
 
 class DeviceEntry(Struct):
     device_id: Name
-    state: DeviceState
+    state: DeviceState | None
     status: Status = msgspec.field(default_factory=Status)
 
 
 class GripEntry(Struct):
     device_id: Name
-    state: GripState
+    state: GripState | None
 
 
 class Workspace(Struct):
@@ -109,8 +110,8 @@ class InventoryEntry(Struct):
     """Entry of the inventory."""
 
     device_id: Name
-    config: Config = msgspec.field(default_factory=Config)
-    state: Workspace = msgspec.field(default_factory=Workspace)
+    config: Config | None = msgspec.field(default_factory=Config)
+    state: Workspace | None = msgspec.field(default_factory=Workspace)
 
 
 class ServiceState(Struct):
@@ -179,14 +180,16 @@ def read_inventory(message: bytes) -> Inventory:
 def read_state(message: bytes, device: DeviceRef, grip: DeviceRef | None) -> PoseReading:
     """Return the pose of a device, with the orientation of its grip, from an answer. Raises Malformed, Missing."""
     state: ServiceState = _decode(_STATES, message)
-    device_entry: DeviceEntry = _find_entry(state, device)
-    grip_entry: GripEntry | None = None if grip is None else _find_entry(state, grip)
-    position, warning = _parse_position(device_entry.state.cursor_position), _parse_warning(device_entry.status)
-    if grip_entry is None:
+    device_entry, device_state = _find_entry(state, device)
+    if not is_identity(device_state.transform):
+        raise Missing(format_moved(device))
+    position, warning = _parse_position(device_state.cursor_position), _parse_warning(device_entry.status)
+    if grip is None:
         return PoseReading(position, _IDENTITY, 0.0, warning)
-    pressed = grip_entry.state.buttons
-    mask = float(grip_entry.state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
-    return PoseReading(position, _parse_quaternion(grip_entry.state.orientation), mask, warning)
+    grip_state: GripState = _find_entry(state, grip)[1]
+    pressed = grip_state.buttons
+    mask = float(grip_state.button) if pressed is None else float(pressed.a + 2 * pressed.b + 4 * pressed.c)
+    return PoseReading(position, _parse_quaternion(grip_state.orientation), mask, warning)
 
 
 def encode_command(device: DeviceRef, key: str, force: Vec3, basis: bool = False) -> bytes:
@@ -235,6 +238,14 @@ def is_identity(mount: dict[str, Any] | None) -> bool:
     )
 
 
+def format_moved(device: DeviceRef) -> str:
+    return f"{device}: the service moves, turns or scales its positions: reset mount and workspace in the Haply Hub"
+
+
+def format_no_state(ref: DeviceRef) -> str:
+    return f"{ref}: the service lists it without a state: switch it on, wait for its light, and start again"
+
+
 def shorten(message: bytes) -> str:
     return repr(message[:EXCERPT_CHARS])[1:] + ("..." if len(message) > EXCERPT_CHARS else "")
 
@@ -246,10 +257,13 @@ def _decode(decoder: Any, message: bytes) -> Any:
         raise Malformed(f"the service answered {shorten(message)}: {error}") from None
 
 
-def _find_entry(state: ServiceState, ref: DeviceRef) -> Any:
+def _find_entry(state: ServiceState, ref: DeviceRef) -> tuple[Any, Any]:
+    """Return the entry of a device or grip, and its state."""
     for entry in getattr(state, ref.group):
         if entry.device_id == ref.name:
-            return entry
+            if entry.state is None:
+                raise Missing(format_no_state(ref))
+            return entry, entry.state
     raise Missing(f"{ref} is no longer in the service's list")
 
 

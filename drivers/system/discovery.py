@@ -6,6 +6,7 @@ lists devices that this user may not open.
 
 from __future__ import annotations
 
+import errno
 import grp
 import os
 import stat
@@ -177,7 +178,9 @@ def _sort_by_number(names: Iterable[str]) -> list[str]:
 def _list_names(folder: Path) -> list[str]:
     try:
         return os.listdir(folder)
-    except OSError:
+    except OSError as error:
+        if error.errno in (errno.EMFILE, errno.ENFILE):  # unknown: not empty
+            raise
         return []
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from softfinger.config.errors import RecordingError, SafetyStop
+from softfinger.config.errors import Exhausted, RecordingError, SafetyStop
 from softfinger.config.load import describe, load_scene
 from softfinger.config.overrides import find_value, to_indexed_key
 from softfinger.config.schema import Scene
@@ -51,7 +51,7 @@ class Haptics:
     scene_of            returns the source of a scene that the experiment names
     check_running       raises the error of a failed daemon, or Stopped on request
     change_rig          resumes the daemon, from zero force, with these values of the rig, and the file's for other keys
-    last_recorded_tick  returns the last recorded tick; raises RecordingError if the recording stopped unexpectedly
+    last_recorded_tick  returns the last recorded tick; raises RecordingError or Exhausted if the recording stopped
     """
 
     def __init__(
@@ -82,7 +82,8 @@ class Haptics:
     def touch(self, stimulus: Stimulus) -> TouchResult:
         """Present a stimulus, which is changed at zero force; if only values change, nothing is compiled.
 
-        Raises RecordingError if its ticks are not in the recording: a trial without them must not be answered.
+        Raises RecordingError or Exhausted if its ticks are not in the recording, because such a trial must not be
+        answered.
         """
         client = self.client
         self._read_recorded_tick()
@@ -114,11 +115,11 @@ class Haptics:
         )
 
     def _read_recorded_tick(self) -> int:
-        """Return the last recorded tick; raise RecordingError with the remedy if the recording stopped."""
+        """Return the last recorded tick; raise its error with the remedy if the recording stopped."""
         try:
             return self._last_recorded_tick()
-        except RecordingError as error:
-            raise RecordingError(f"{error}{REPEAT_REMEDY}") from error
+        except (RecordingError, Exhausted) as error:
+            raise type(error)(f"{error}{REPEAT_REMEDY}") from error
 
     def _wait_for_disk(self, ticks: list[dict[str, Any]]) -> None:
         """Wait until the ticks are recorded, at most DISK_TIMEOUT_S for a disk that stalls."""

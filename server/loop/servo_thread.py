@@ -16,9 +16,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.errors import SafetyStop
+from softfinger.config.errors import RealtimeError, SafetyStop
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S, Device, DeviceIO
 from softfinger.proxy.bodies import begin_bodies, count_motion_values
+from softfinger.proxy.kernels.jit.decorators import PLAIN
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop import shutdown
@@ -41,6 +42,12 @@ RING_SECONDS: Final = 8
 HANDOVER_S: Final = 5.0
 """A loop that takes longer to end, or to start after another one, hangs in its device."""
 HANDOVER_POLL_S: Final = 0.05
+
+
+def require_machine_code(work: str) -> None:
+    """Raise RealtimeError if kernels run as plain Python; `work`, for the message, cannot."""
+    if PLAIN:
+        raise RealtimeError(f"NUMBA_DISABLE_JIT is set, but {work} needs machine code: unset it")
 
 
 class ServoThread:
@@ -123,6 +130,7 @@ class ServoThread:
 
     def compile(self, loop: Loop | None = None) -> bool:
         """Compile all functions that the loop (by default the first) and its readers call; True if all were cached."""
+        require_machine_code("the servo loop")
         _, _, shared, arguments = self._loop if loop is None else loop
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
             (run_servo_loop, arguments),

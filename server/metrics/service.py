@@ -10,6 +10,7 @@ import json
 import logging
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
@@ -176,6 +177,13 @@ class _Server(WSGIServer):
         self.socket, self.server_name, self.server_port = bound.listener, host, port
         self.setup_environ()
         self.set_app(answer)
+
+    def get_request(self) -> Any:
+        try:
+            return super().get_request()
+        except OSError:  # without a free file descriptor the connection remains in the queue
+            time.sleep(POLL_S)
+            raise
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         log.debug("metrics: a client was not answered", exc_info=True)

@@ -23,6 +23,7 @@ from softfinger.proxy.kernels.step import step
 from softfinger.proxy.record import FREE
 from softfinger.proxy.scene import build_scene, start_state
 from softfinger.server.loop.clock import Stopwatch, make_stopwatch, read_clock_ns, read_thread_cpu_ns, sleep_until
+from softfinger.server.loop.tuning import estimate_kernels as estimate_loop_kernels
 
 BLOCK: Final = 10_000
 """Steps per block: one pass over the poses."""
@@ -33,6 +34,9 @@ Few stretches are affected if another program takes the processor for a millisec
 ns per step.
 """
 PRESS_N: Final = 1.0
+STEP_SHARE: Final = 0.67
+PART_KERNELS: Final = 25
+"""Kernels of the step as a share of those of the loop, and of a scene without a part; `paper-plane` has 258 in all."""
 
 
 class Cost(NamedTuple):
@@ -186,6 +190,11 @@ def iter_without_parts(scene: schema.Scene) -> Iterator[tuple[str, schema.Scene]
         f"all objects but '{scene.object[0].name}'": replace(scene, object=scene.object[:1]),
     }
     yield from ((name, reduced) for name, reduced in parts.items() if reduced != scene)
+
+
+def estimate_kernels(scene: schema.Scene, parts: int) -> int:
+    """Return about how many kernels the measurements of a scene and of it without each part compile, for a message."""
+    return int(STEP_SHARE * estimate_loop_kernels(scene)) + PART_KERNELS * (parts + 1)
 
 
 def keep_contact(scene: schema.Scene) -> schema.Scene:

@@ -92,10 +92,15 @@ class Topic(NamedTuple):
 
 
 class End(NamedTuple):
-    """End of a file: its topics, and the reason if it is incomplete, else empty."""
+    """End of a file.
+
+    cut     reason if it is incomplete, else empty
+    unread  number of ticks in damaged parts before the first tick and after the last one that was read, by finger
+    """
 
     topics: list[Topic]
     cut: str
+    unread: dict[str, tuple[int, int]] = {}  # noqa: RUF012 - not changed
 
 
 def explain_no_tick(end: End) -> str:
@@ -111,6 +116,8 @@ def explain_no_tick(end: End) -> str:
 class _Channel:
     def __init__(self, topic: str, schema: Any) -> None:
         self.topic, self.schema, self.messages = topic, schema, 0
+        self.unread_before = self.unread_after = 0
+        """Messages in damaged parts before the first message, and after the latest one."""
         self.finger = find_finger(topic)
         self.layout: Layout | None = None
         self._message_type: Any = None
@@ -132,9 +139,16 @@ class _Channel:
             rows = np.array([layout.row(self.message_type.FromString(message)) for message in messages])
         return TickBlock(self.finger or "", layout.parts, rows)
 
+    def count_unread(self, count: int) -> None:
+        if self.messages:
+            self.unread_after += count
+        else:
+            self.unread_before += count
+
     def contents(self, messages: list[bytes]) -> Iterator[TickBlock | Event | RecordedWorld]:
         """Decode messages of the channel; those of topics that this program does not read are only counted."""
         self.messages += len(messages)
+        self.unread_after = 0
         if self.finger is not None:
             yield self.ticks(messages)
         elif self.topic in (EVENT_TOPIC, MARK_TOPIC):
@@ -176,7 +190,7 @@ def read_contents(path: str | Path) -> Iterator[TickBlock | Event | RecordedWorl
 
 def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | RecordedWorld | Note | End]:
     from mcap.exceptions import EndOfFile
-    from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
+    from mcap.records import Channel, Chunk, Footer, Message, MessageIndex, Metadata, Schema
 
     schemas: dict[int, Any] = {}
     channels: dict[int, _Channel] = {}
@@ -185,9 +199,12 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
         raise RecordingError(f"{path}: is empty")
     cut = "it has no index at its end: it is still being written, its writer was killed, or the disk was full"
     damage: list[str] = []
+    skipped = False
     summary = cache(partial(_read_summary, file))
 
     def skip_damage(error: Exception) -> None:
+        nonlocal skipped
+        skipped = True
         damage.append(f"a part is damaged, and its ticks are missing: {type(error).__name__}: {str(error)[:120]}")
         for record in summary():  # the part may have declared channels
             if isinstance(record, Schema):
@@ -198,6 +215,7 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
     try:
         for outer in iter_mcap_records(file, skip_damage):
             messages_by_channel: dict[int, list[bytes]] = {}
+            skipped = skipped and not isinstance(outer, Chunk)
             for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):
                     messages_by_channel.setdefault(record[0], []).append(record[1])
@@ -208,6 +226,8 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
                 elif isinstance(record, Channel):
                     schema = schemas.get(record.schema_id)
                     channels.setdefault(record.id, _Channel(record.topic, schema))
+                elif isinstance(record, MessageIndex) and skipped and record.channel_id in channels:
+                    channels[record.channel_id].count_unread(len(record.records))
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
                     try:
@@ -232,7 +252,10 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
         if not channels:
             raise RecordingError(f"{path}: not a readable MCAP recording: {cut}")
     topics = [Topic(item.topic, item.schema.name if item.schema else "", item.messages) for item in channels.values()]
-    yield End(topics, cut)
+    unread = {
+        item.finger: (item.unread_before, item.unread_after) for item in channels.values() if item.finger is not None
+    }
+    yield End(topics, cut, unread)
 
 
 def _read_summary(file: IO[bytes]) -> list[Any]:

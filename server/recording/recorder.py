@@ -16,6 +16,7 @@ from typing import IO, Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.arrays import Array
+from softfinger.config.files import FULL_DISK
 from softfinger.proxy.record import AT
 from softfinger.server.recording.writer import RecordingFile, round_integer_fields
 from softfinger.server.wire.events import RecordEvents
@@ -105,7 +106,7 @@ class Recorder:
         """`last_written_tick`: last tick written to the file; -1 before the first."""
         self._reported_dropped = 0
         self._is_dropping, self._dropped_from = False, -1
-        self._error = ""
+        self._error, self.is_disk_full = "", False
         self._is_empty = True  # no message is written
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
@@ -176,6 +177,7 @@ class Recorder:
                 raise
         except Exception as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else f"{error}"
+            self.is_disk_full = isinstance(error, OSError) and error.errno in FULL_DISK
             self._error = reason or type(error).__name__
             remedy = f": {NEW_RECORDING_REMEDY}"
             if not isinstance(error, OSError):

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from softfinger.config.errors import RecordingError
 from softfinger.drivers.poses import find_recording
@@ -38,9 +39,7 @@ class _Finger:
         if not self.ticks:
             self.first, self.start_s = int(numbers[0]), float(stamps[0])
         steps = np.diff(numbers, prepend=self.last if self.ticks else numbers[0] - 1).astype(int)
-        gaps = steps[steps > 1] - 1
-        self.gaps, self.missing = self.gaps + len(gaps), self.missing + int(gaps.sum())
-        self.longest = max(self.longest, int(gaps.max(initial=0)))
+        self.add_gaps(steps[steps > 1] - 1)
         self.ticks, self.last, self.end_s = self.ticks + len(numbers), int(numbers[-1]), float(stamps[-1])
         modes = ticks.column("contact.mode")
         if modes is not None:
@@ -57,6 +56,11 @@ class _Finger:
                     size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
                 self.peaks[key] = max(self.peaks.get(key, 0.0), float(np.nanmax(size, initial=0.0)))
 
+    def add_gaps(self, gaps: NDArray[np.int64]) -> None:
+        """Count gaps, given by their numbers of ticks."""
+        self.gaps, self.missing = self.gaps + len(gaps), self.missing + int(gaps.sum())
+        self.longest = max(self.longest, int(gaps.max(initial=0)))
+
     def to_dict(self) -> dict[str, Any]:
         modes = {name: self.modes[number] for number, name in enumerate(MODE_NAMES)} if self.modes else {}
         extent = {"position_min_m": self.low.tolist(), "position_max_m": self.high.tolist()}
@@ -66,7 +70,7 @@ class _Finger:
 def summarize(recording: str | Path) -> dict[str, Any]:
     """Return the summary of a file or a shipped recording, which `softfinger info --json` prints.
 
-    missing         ticks that the file lacks, in `gaps` gaps
+    missing         ticks that the file lacks, in `gaps` gaps, also at the ends of a damaged file
     dropped         ticks not written because the disk was too slow, if the file has a regular end
     events_dropped  events not written for the same reason
     lost            ticks that did not arrive over the wire
@@ -103,6 +107,7 @@ def summarize(recording: str | Path) -> dict[str, Any]:
     every = notes.get("every") if isinstance(notes.get("every"), int) else 1
     end_table = (notes.get(END_TABLE) if isinstance(notes.get(END_TABLE), dict) else None) or {}
     is_thinned = every != 1
+    first_finger.add_gaps(np.array([count for count in end.unread.get(next(iter(fingers)), ()) if count]))
     return {
         "file": str(path),
         "bytes": path.stat().st_size,

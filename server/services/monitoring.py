@@ -1,4 +1,4 @@
-"""Monitoring of the devices' warnings, of memory in swap, and of attached and detached devices.
+"""Monitoring of the devices' warnings, memory in swap, attached and detached devices, and files of sockets.
 
 These affect rendering but do not end it: they go to the log and to subscribers. The thread for attached and detached
 devices lists the system's tables once per second; it opens no device.
@@ -9,10 +9,11 @@ from __future__ import annotations
 import logging
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.errors import HapticError
 from softfinger.drivers.base import Device
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.claims import find_claim
@@ -24,6 +25,7 @@ log: Final = logging.getLogger(__name__)
 DEVICE_PERIOD_S: Final = 0.5
 SWAP_PERIOD_S: Final = 1.0
 HOTPLUG_PERIOD_S: Final = 1.0
+SOCKET_FILE_PERIOD_S: Final = 0.5
 DEVICE_WARNING: Final = "device_warning"
 SWAPPED: Final = "swapped"
 STATUS: Final = Path("/proc/self/status")
@@ -34,7 +36,10 @@ SWAP_REMEDY: Final = (
 
 
 class PeriodicCheck(Worker):
-    """Service that calls `check` periodically; a failure is an event, and the run continues."""
+    """Service that calls `check` periodically; a failure is an event, and the run continues.
+
+    Missing resources of the system, such as file descriptors, are reported once, and `check` is called again later.
+    """
 
     def __init__(self, name: str, subject: str, period_s: float, publish: Callable[[str], object]) -> None:
         super().__init__(name)
@@ -44,9 +49,17 @@ class PeriodicCheck(Worker):
     def check(self) -> None: ...
 
     def work(self) -> None:
-        self.check()
-        while not self.closing.wait(self._period_s):
-            self.check()
+        reported = ""
+        while True:
+            try:
+                self.check()
+                reported = ""
+            except (OSError, HapticError) as error:
+                if str(error) != reported:
+                    self.warn(f"{self.name}: {error}; checked again every {self._period_s:g} s")
+                reported = str(error)
+            if self.closing.wait(self._period_s):
+                return
 
     def warn(self, message: str) -> None:
         log.warning("%s", message)
@@ -139,21 +152,46 @@ def make_event_fields(device: SystemDevice) -> dict[str, Any]:
     }
 
 
-class HotplugMonitor(Worker):
+class HotplugMonitor(PeriodicCheck):
     """Service that publishes by `event` all changes since `hotplug` was created, even if it is started later."""
 
     def __init__(self, hotplug: HotplugDetector, event: Callable[..., Any]) -> None:
-        super().__init__("hotplug")
+        super().__init__(
+            "hotplug",
+            "attached and detached devices are",
+            HOTPLUG_PERIOD_S,
+            lambda text: event("fault", "hotplug", message=text),
+        )
         self._hotplug, self._event = hotplug, event
 
     def work(self) -> None:
         for device in self._hotplug.present:
             self._event("device", "present", **make_event_fields(device))
-        while not self.closing.wait(HOTPLUG_PERIOD_S):
-            for action, device in self._hotplug.changes():
-                log.info("%s: %s", action, device)
-                self._event("device", action, **make_event_fields(device))
+        super().work()
 
-    def handle_failure(self, error: Exception) -> None:
-        """Publish an event; the run continues, because rendering does not depend on this service."""
-        self._event("fault", "hotplug", message=str(error))
+    def check(self) -> None:
+        for action, device in self._hotplug.changes():
+            log.info("%s: %s", action, device)
+            self._event("device", action, **make_event_fields(device))
+
+
+class SocketFileMonitor(PeriodicCheck):
+    """Service that binds the ipc endpoints again if their files are removed, as systemd does at the end of a session.
+
+    Without the file, no new client can connect to send `disarm`.
+
+    rebind  binds sockets without a file again; yields their endpoints
+    """
+
+    def __init__(self, rebind: Callable[[], Iterable[str]], event: Callable[..., Any]) -> None:
+        super().__init__(
+            "socket files",
+            "endpoints whose socket file was removed are",
+            SOCKET_FILE_PERIOD_S,
+            lambda text: event("fault", "publisher", message=text),
+        )
+        self._rebind = rebind
+
+    def check(self) -> None:
+        for endpoint in self._rebind():
+            self.warn(f"{endpoint}: the socket file was removed or replaced, and the endpoint was bound again")

@@ -19,7 +19,7 @@ from typing import IO, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.errors import ConfigError, Exhausted, RecordingError
 from softfinger.config.files import open_recording
 from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server.loop.clock import NS_PER_S
@@ -96,7 +96,8 @@ class Recordings:
     def last_written_tick(self) -> int:
         """Return the last tick in the file of the current recording, -1 for none.
 
-        Raises RecordingError if the recording has failed or none is running. The caller reports it, so `stop` does not.
+        Raises RecordingError if the recording has failed or none is running, Exhausted if the disk is full. The caller
+        reports it, so `stop` does not.
         """
         with self._changing:
             recorder = self._recorder
@@ -104,7 +105,8 @@ class Recordings:
                 raise RecordingError("nothing is being recorded")
             if error := (recorded := recorder.recorded).error:
                 self._failure = None
-                raise RecordingError(f"{self._path}: the recording ends after {recorded.ticks} ticks: {error}")
+                kind = Exhausted if recorder.is_disk_full else RecordingError
+                raise kind(f"{self._path}: the recording ends after {recorded.ticks} ticks: {error}")
             return recorder.last_written_tick
 
     def collect_totals(self) -> RecorderState:

@@ -50,9 +50,10 @@ class Kind(IntEnum):
 class ListeningSocket(Struct, frozen=True):
     """Listening socket for peers.
 
-    name    telemetry or commands
-    key     file of the secret key, '' if none is required
-    folder  public keys of the peers that may connect
+    name      telemetry or commands
+    key       file of the secret key, '' if none is required
+    folder    public keys of the peers that may connect
+    renewals  socket that receives listening sockets for a path that was removed
     """
 
     name: str
@@ -60,6 +61,7 @@ class ListeningSocket(Struct, frozen=True):
     fd: int
     key: str
     folder: str
+    renewals: int
 
 
 class StateInfo(Struct, frozen=True):

@@ -102,9 +102,17 @@ class PeerSocket:
             self.socket.zap_domain = self._domain.encode()
             self.socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)
         self.monitor: zmq.Socket[bytes] = self.socket.get_monitor_socket(_WATCHED)
+        self._bind()
+
+    def _bind(self) -> None:
         # libzmq closes the listener with its socket, and another socket may follow.
         self.socket.setsockopt(zmq.USE_FD, os.dup(self._bound.fd))
         self.socket.bind(self.endpoint)
+
+    def bind_again(self, fd: int) -> None:
+        """Accept also the connections to a new listening socket; the present peers stay connected."""
+        os.dup2(fd, self._bound.fd, inheritable=False)
+        self._bind()
 
     @property
     def has_message(self) -> bool:

@@ -15,6 +15,7 @@ import os
 import resource
 import select
 import signal
+import socket
 import time
 from contextlib import ExitStack
 from typing import Any, Final
@@ -99,6 +100,8 @@ class SocketServer:
             *(subscribers.peers for subscribers in self._subscribers),
             *(clients.peers for clients in self._clients),
         ]
+        self._renewals = [files.enter_context(socket.socket(fileno=listener.renewals)) for listener in setup.listeners]
+        """For each of `_peer_sockets`: all listeners of a process have the same name."""
 
     def _open(self, socket_context: SocketContext, listener: ListeningSocket, backlog: int) -> None:
         lock = _make_lock(listener) if listener.key else None
@@ -158,6 +161,7 @@ class SocketServer:
             if now >= report_s:
                 report_s = now + PERIOD_S
                 self._report_figures()
+                self._rebind()
             if now >= keys_s:
                 keys_s = now + KEY_CHECK_S
                 for peers in self._peer_sockets:
@@ -173,8 +177,8 @@ class SocketServer:
             poll.register(self._rows.bell, select.POLLIN)
         poll.register(self._channel.fileno(), select.POLLIN)
         for peers in self._peer_sockets:
-            for socket in (peers.socket, peers.monitor):
-                poll.register(socket.FD, select.POLLIN)
+            for peer_socket in (peers.socket, peers.monitor):
+                poll.register(peer_socket.FD, select.POLLIN)
         return poll
 
     def _count_renewals(self) -> int:
@@ -237,6 +241,14 @@ class SocketServer:
             case Kind.END:
                 self._send_ticks()
                 self._ended = True
+
+    def _rebind(self) -> None:
+        """Accept connections to the listening sockets that the daemon has bound in place of removed ones."""
+        for renewals, peers in zip(self._renewals, self._peer_sockets, strict=True):
+            with contextlib.suppress(BlockingIOError):
+                for fd in socket.recv_fds(renewals, 1, 1)[1]:
+                    peers.bind_again(fd)
+                    os.close(fd)
 
     def _report_figures(self) -> None:
         for peers in self._peer_sockets:

@@ -23,6 +23,7 @@ from softfinger.config.load import FaultyConfig, attempt, describe, load_rig, lo
 from softfinger.config.schema import DeviceConfig, Guard, Mesh, Object, Rig, Scene, Servo
 from softfinger.config.sources import EXPERIMENTS, find, find_in, list_names, list_shipped, read_toml
 from softfinger.config.words import format_value, suggest
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.server.offline.summary import check_start, make_object_rows, report_mesh, summarize_rig, summarize_scene
 from softfinger.server.progress import report_compilation, show_progress
 
@@ -202,10 +203,19 @@ def add_costs(finding: FileReport) -> FileReport:
     """Add the measured cost of a tick and of its parts to the finding of a usable scene; return any other unchanged."""
     if finding.kind != "scene" or finding.errors:
         return finding
-    from softfinger.server.offline.cost import iter_without_parts, keep_contact, make_touching_poses, measure
+    from softfinger.server.loop.servo_thread import require_machine_code
+    from softfinger.server.offline.cost import (
+        estimate_kernels,
+        iter_without_parts,
+        keep_contact,
+        make_touching_poses,
+        measure,
+    )
 
     scene = load_scene(_locate(finding.file))
     parts = list(iter_without_parts(scene))
+    require_machine_code("--explain")
+    COMPILE_PROGRESS.expect(estimate_kernels(scene, len(parts)))
     with show_progress(f"measuring {finding.file}", len(parts) + 2) as update:
         poses = make_touching_poses(scene)
         whole_ns = measure(scene, poses).median_ns

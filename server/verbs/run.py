@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
         if args.watcher:
-            watchers = start_watchers(daemon)
+            start_watchers(daemon, watchers)
         if faults is not None:
             log.warning("faults are injected, from %s: %s", args.inject, format_faults(faults, rate))
         announce(daemon, args.scene, suggest_view=page is None and args.rig is None)
@@ -136,8 +136,11 @@ def report_settings(settings: list[Setting]) -> None:
             log.warning("real time: %s refused: %s; %s", setting.name, setting.detail, setting.advice)
 
 
-def start_watchers(daemon: Daemon) -> list[Watcher]:
-    """Start a watcher for each device; raises ConfigError if no other process can remove the force of one."""
+def start_watchers(daemon: Daemon, watchers: list[Watcher]) -> None:
+    """Start a watcher for each device and append it to `watchers`, also if a later one cannot start.
+
+    Raises ConfigError if no other process can remove the force of a device.
+    """
     zero_commands = []
     for device in daemon.devices:
         zero_command = device.last_word()
@@ -147,7 +150,8 @@ def start_watchers(daemon: Daemon) -> list[Watcher]:
                 "(see docs/devices/overview.md): remove --watcher"
             )
         zero_commands.append(zero_command)
-    return [Watcher(*zero_command) for zero_command in zero_commands]
+    for zero_command in zero_commands:
+        watchers.append(Watcher(*zero_command))  # noqa: PERF401 - the caller ends these if another one fails
 
 
 def show_progress(daemon: Daemon, page: PageProcess | None, watchers: Sequence[Watcher]) -> None:

@@ -17,6 +17,7 @@ from softfinger.config.sources import list_shipped
 from softfinger.proxy.engine import compile_steps
 from softfinger.proxy.kernels.jit.decorators import CACHE_DIR, KERNEL_FOLDER
 from softfinger.proxy.scene import start_state
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.progress import report_compilation
 from softfinger.server.services.scene_changes import compile_loop
@@ -27,6 +28,7 @@ RATE_HZ: Final = 1000.0
 
 
 def run(args: argparse.Namespace) -> int:
+    require_machine_code("the kernel cache")
     if args.prune:
         prune()
     names = args.scenes or list_shipped(schema.Scene)

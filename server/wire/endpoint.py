@@ -8,7 +8,8 @@ import ipaddress
 import os
 import socket
 import stat
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -24,15 +25,31 @@ LISTENING_STATE: Final = "0A"
 
 
 class BoundSocket(NamedTuple):
-    """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with its final port."""
+    """Listening socket, the stack that closes it and frees the endpoint, and the endpoint with its final port.
+
+    file  its file; None for tcp
+    """
 
     listener: socket.socket
     files: ExitStack
     endpoint: str
+    file: SocketFile | None = None
 
     @property
     def fd(self) -> int:
         return self.listener.fileno()
+
+    def rebind(self) -> bool:
+        """Bind again, with the same descriptor, if the socket file was removed or replaced; return whether it was.
+
+        Raises the errors of `listen`; then the next call tries again.
+        """
+        if self.file is None or self.file.is_bound():
+            return False
+        with _explain_refusal(self.endpoint, self.file.key), self.file.bind() as listener:
+            listener.listen(LISTEN_BACKLOG)
+            os.dup2(listener.fileno(), self.fd, inheritable=False)
+        return True
 
 
 def check_endpoint(endpoint: str, key: str, public: bool = False) -> None:
@@ -115,21 +132,26 @@ def listen(endpoint: str, key: str, public: bool = False, private: bool = False)
     """
     check_endpoint(endpoint, key, public)
     scheme, _, address = endpoint.partition("://")
-    with ExitStack() as files:
-        try:
-            if scheme == "ipc":
-                listener = files.enter_context(_listen_ipc(Path(address), endpoint, key, files, private))
-            else:
-                listener = files.enter_context(_listen_tcp(address))
-                address = address.rpartition(":")[0] + f":{listener.getsockname()[1]}"
-            listener.listen(LISTEN_BACKLOG)
-        except OSError as error:
-            if error.errno == errno.EADDRINUSE:
-                raise _make_in_use_error(endpoint, key) from error
-            raise ConfigError(
-                f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another"
-            ) from error
-        return BoundSocket(listener, files.pop_all(), f"{scheme}://{address}")
+    file = SocketFile(Path(address), endpoint, key, private) if scheme == "ipc" else None
+    with ExitStack() as files, _explain_refusal(endpoint, key):
+        if file is not None:
+            files.callback(file.close)
+            listener = files.enter_context(file.bind())
+        else:
+            listener = files.enter_context(_listen_tcp(address))
+            address = address.rpartition(":")[0] + f":{listener.getsockname()[1]}"
+        listener.listen(LISTEN_BACKLOG)
+        return BoundSocket(listener, files.pop_all(), f"{scheme}://{address}", file)
+
+
+@contextmanager
+def _explain_refusal(endpoint: str, key: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise _make_in_use_error(endpoint, key) from error
+        raise ConfigError(f"{key} = {endpoint!r} cannot be bound: {error.strerror or error}; choose another") from error
 
 
 def _listen_tcp(address: str) -> socket.socket:
@@ -146,23 +168,63 @@ def _listen_tcp(address: str) -> socket.socket:
     return listener
 
 
-def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, private: bool) -> socket.socket:
-    if path.parent == find_runtime_folder():
-        make_runtime_folder()
-    files.callback(os.close, _claim(path, endpoint, key))
-    path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
-    listener = socket.socket(socket.AF_UNIX)
-    # Only the user, and the group unless `private`, may connect. The mask is the whole process's: restore it at once.
-    mask = os.umask(0o177 if private else 0o117)
-    try:
-        listener.bind(str(path))
-    except BaseException:
-        listener.close()
-        raise
-    finally:
-        os.umask(mask)
-    files.callback(path.unlink, missing_ok=True)
-    return listener
+class SocketFile:
+    """File of an ipc socket, and the lock file next to it."""
+
+    def __init__(self, path: Path, endpoint: str, key: str, private: bool) -> None:
+        self.key: Final = key
+        self._path, self._endpoint, self._private = path, endpoint, private
+        self._folder_mode = 0o700
+        self._lock_file: int | None = None
+        self._status: os.stat_result | None = None
+
+    def bind(self) -> socket.socket:
+        """Lock and bind the path; also after the file, or its folder, was removed."""
+        self._unlock()
+        folder = self._path.parent
+        if self._status is not None:
+            folder.parent.mkdir(0o700, exist_ok=True)
+            folder.mkdir(self._folder_mode, exist_ok=True)
+        if folder == find_runtime_folder():
+            make_runtime_folder()
+        self._lock_file = _claim(self._path, self._endpoint, self.key)
+        self._path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
+        listener = socket.socket(socket.AF_UNIX)
+        # Only the user, and the group unless `private`, may connect. The mask is the whole process's: restore it at
+        # once.
+        mask = os.umask(0o177 if self._private else 0o117)
+        try:
+            listener.bind(str(self._path))
+        except BaseException:
+            listener.close()
+            raise
+        finally:
+            os.umask(mask)
+        self._status, self._folder_mode = self._path.lstat(), stat.S_IMODE(folder.stat().st_mode)
+        return listener
+
+    def is_bound(self) -> bool:
+        """Return whether clients find this socket at its path, and other servers its lock."""
+        if self._lock_file is None or self._status is None:
+            return False
+        try:
+            lock = os.stat(f"{self._path}.lock", follow_symlinks=False)
+            return os.path.samestat(self._path.lstat(), self._status) and os.path.samestat(
+                lock, os.fstat(self._lock_file)
+            )
+        except OSError:
+            return False
+
+    def close(self) -> None:
+        """Remove the file, unless it was replaced, and unlock the path."""
+        if self.is_bound():
+            self._path.unlink(missing_ok=True)
+        self._unlock()
+
+    def _unlock(self) -> None:
+        if self._lock_file is not None:
+            os.close(self._lock_file)
+            self._lock_file = None
 
 
 def _claim(path: Path, endpoint: str, key: str) -> int:

@@ -16,8 +16,10 @@ import msgpack
 import msgspec
 from msgspec import Meta, Struct
 
+from softfinger.config.words import describe_pattern
 from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
 from softfinger.server.wire.commands import METHODS, ErrorName, describe_fields
+from softfinger.server.wire.protocol import encode
 
 DEPTH_MAX: Final = 16
 """Nesting depth of maps and lists; a scene has 6."""
@@ -74,6 +76,7 @@ _BOOT: Final = _read_boot_id()
 def _explain(error: msgspec.ValidationError) -> str:
     """Return msgspec's message with the parameter first: `release: Expected `bool`, got `str``."""
     text = re.sub(r"^Object missing required field `(\w+)`", r"\1 is missing", str(error))
+    text = re.sub(r"matching regex '(.*)'", lambda match: describe_pattern(match[1]), text)
     return re.sub(r"^(.*) - at `\$\.?(.+)`$", r"\2: \1", text)
 
 
@@ -139,13 +142,10 @@ def _is_plain(decoded: Any) -> bool:
     return False
 
 
-_ENCODER: Final = msgspec.msgpack.Encoder()
-
-
 def encode_answer(command_id: str, result: Any) -> bytes:
-    return _ENCODER.encode({"command_id": command_id, "success": True, "result": result, "error": None})
+    return encode({"command_id": command_id, "success": True, "result": result, "error": None})
 
 
 def encode_refusal(reason: DeclinedRequest, command_id: str = "") -> bytes:
     refusal = {"command_id": reason.command_id or command_id, "success": False, "result": {}, "error": str(reason)}
-    return _ENCODER.encode(refusal)
+    return encode(refusal)

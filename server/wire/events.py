@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.proxy.record import AT, CAUSE_NAMES, FREE, ROLLING, SLIDING
-from softfinger.server.wire.protocol import SCHEMA
+from softfinger.server.wire.protocol import SCHEMA, replace_undecoded
 
 Map = dict[str, Any]
 
@@ -167,7 +167,14 @@ def read_clock_s() -> float:
 def make_event(moment: tuple[int, float], kind: str, name: str, fields: Mapping[str, Any]) -> Map:
     """Return the map of an event at a moment, (last tick done, s since the epoch), with further keys."""
     tick, timestamp = moment
-    return {**fields, "schema": SCHEMA, "timestamp": timestamp, "tick": tick, "kind": kind, "name": name}
+    return {
+        **replace_undecoded(dict(fields)),
+        "schema": SCHEMA,
+        "timestamp": timestamp,
+        "tick": tick,
+        "kind": kind,
+        "name": name,
+    }
 
 
 def _make_head(record: NDArray[np.float64], kind: str, name: str) -> Map:

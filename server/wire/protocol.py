@@ -275,8 +275,24 @@ def find_finger(topic: str) -> str | None:
     return topic.removeprefix(FINGERS) if topic.startswith(FINGERS) else None
 
 
-def encode(message: dict[str, Any]) -> bytes:
-    return _ENCODER.encode(message)
+def encode(message: Any) -> bytes:
+    """Encode a message as msgpack, its texts as in `replace_undecoded`."""
+    try:
+        return _ENCODER.encode(message)
+    except UnicodeEncodeError:
+        return _ENCODER.encode(replace_undecoded(msgspec.to_builtins(message)))
+
+
+def replace_undecoded(value: Any) -> Any:
+    r"""Replace bytes of file names that are not UTF-8 by `\udcXX`, because messages are UTF-8."""
+    match value:
+        case str():
+            return value.encode(errors="backslashreplace").decode()
+        case dict():
+            return {key: replace_undecoded(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [replace_undecoded(entry) for entry in value]
+    return value
 
 
 def decode(topic: bytes, body: bytes) -> Any:

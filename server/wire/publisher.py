@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from operator import itemgetter
 from typing import Any, Final
@@ -112,7 +112,8 @@ class Publisher(Closeable):
             self._relay: Final = Relay(len(fingers))
             undo.callback(self._relay.close)
             files = [self._relay.memory.reading, self._relay.bell, self._switch.file]
-            files += [listener.fd for listener in self._endpoints.listeners]
+            for listener in self._endpoints.listeners:
+                files += [listener.fd, listener.renewals]
             self._commands: Final = self._open_commands(files)
             if self._commands is not None:
                 undo.callback(self._commands.close, 0.0)
@@ -158,7 +159,7 @@ class Publisher(Closeable):
             self._state_info,
             [listener for listener in self._endpoints.listeners if listener.name == name],
         )
-        send(Kind.SETUP, b"", msgspec.msgpack.encode(setup))
+        send(Kind.SETUP, b"", encode(setup))
 
     def _report_restart(self, text: str) -> None:
         self.report_event("fault", "publisher", message=text)
@@ -199,6 +200,10 @@ class Publisher(Closeable):
     def restarts(self) -> int:
         return sum(link.restarts for link in self._links)
 
+    def rebind(self) -> Iterator[str]:
+        """Bind sockets whose files were removed or replaced again; yield their endpoints (`Endpoints.rebind`)."""
+        return self._endpoints.rebind()
+
     def attach(self, source: RecordSource) -> None:
         """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
@@ -218,7 +223,7 @@ class Publisher(Closeable):
         with self._lock:
             self._state_info = state_info
             if not self._closed:
-                self._link.send(Kind.STATE_INFO, body=msgspec.msgpack.encode(state_info))
+                self._link.send(Kind.STATE_INFO, body=encode(state_info))
 
     def set_preparing(self, text: str) -> None:
         """Set the progress of a scene in preparation, which `health` contains from now on.

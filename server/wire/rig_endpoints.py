@@ -6,15 +6,19 @@ for the next one.
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import tempfile
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Final
 
 from softfinger.config import schema
+from softfinger.config.errors import HapticError
 from softfinger.config.schema import is_public, make_commands_address
 from softfinger.server.socket_process.channel_messages import ListeningSocket
-from softfinger.server.wire.endpoint import listen
+from softfinger.server.wire.endpoint import BoundSocket, listen
 
 TELEMETRY: Final = "telemetry"
 COMMANDS: Final = "commands"
@@ -34,6 +38,8 @@ class Endpoints:
         """Telemetry endpoint for programs of this user."""
         self.commands: str | None = None
         """Command endpoint for programs of this user; None if there is none."""
+        self._bound: Final[list[tuple[BoundSocket, socket.socket]]] = []
+        """Sockets with a file, and the socket to send one that replaces it to its process."""
         self.public: Final[dict[str, str]] = {}
         """Endpoints that other machines can reach, by the name of their table."""
 
@@ -50,10 +56,33 @@ class Endpoints:
         """
         bound = listen(endpoint, f"[{name}] endpoint", public=keys is not None, private=private)
         self.files.enter_context(bound.files)
-        self.listeners.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", ""))))
+        own_end, child_end = map(self.files.enter_context, socket.socketpair())
+        for end in (own_end, child_end):
+            end.setblocking(False)
+        self._bound.append((bound, own_end))
+        self.listeners.append(ListeningSocket(name, bound.endpoint, bound.fd, *(keys or ("", "")), child_end.fileno()))
         if keys is not None:
             self.public[name] = bound.endpoint
         return bound.endpoint
+
+    def rebind(self) -> Iterator[str]:
+        """Bind sockets whose files were removed or replaced again, also for their processes; yield their endpoints.
+
+        Raises the last error of `BoundSocket.rebind`, after all others were bound.
+        """
+        failure: Exception | None = None
+        for bound, own_end in self._bound:
+            try:
+                if not bound.rebind():
+                    continue
+                with contextlib.suppress(BlockingIOError):  # the process does not read
+                    socket.send_fds(own_end, [b"\0"], [bound.fd])
+            except (OSError, HapticError) as error:
+                failure = error
+            else:
+                yield bound.endpoint
+        if failure is not None:
+            raise failure
 
 
 def bind_telemetry(endpoint: str) -> Endpoints:

@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,17 @@ from hypothesis import strategies as st
 from softfinger.config import schema
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import build, describe, load_rig, load_scene
-from softfinger.config.schema import Rig, Scene, make_commands_address
+from softfinger.config.schema import Faults, Rig, Scene, make_commands_address
 from softfinger.config.schema.pairing import find_single_device, pair_devices
 from softfinger.config.sources import list_shipped
-from softfinger.config.words import suggest
+from softfinger.config.words import PATTERNS, suggest
+from softfinger.drivers.haply import options as haply_options
 from softfinger.drivers.serial.options import CHECKS
 from softfinger.proxy.record import FIELDS
 from softfinger.proxy.scene import build_scene
+from softfinger.server.experiment.schema import ExperimentFile
 from softfinger.server.verbs import schema as schema_verb
+from softfinger.server.wire.commands import METHODS
 
 pytestmark = pytest.mark.plain
 
@@ -297,3 +301,20 @@ def test_every_key_has_a_meaning_and_every_default_its_range() -> None:
             assert table.meaning
             assert all(row.allowed and row.default and row.meaning for row in table.rows), table
     build(Rig, describe(Rig(device=schema.DeviceConfig(driver="x"))), "defaults")
+
+
+def test_all_patterns_are_described_in_words() -> None:
+    def iter_patterns(schema: Any) -> Iterator[str]:
+        if isinstance(schema, dict):
+            if isinstance(schema.get("pattern"), str):
+                yield schema["pattern"]
+            for value in schema.values():
+                yield from iter_patterns(value)
+        elif isinstance(schema, list):
+            for value in schema:
+                yield from iter_patterns(value)
+
+    structs = [Scene, Rig, Faults, ExperimentFile, haply_options.Options]
+    structs += [method.params for method in METHODS.values()]
+    patterns = {pattern for struct in structs for pattern in iter_patterns(msgspec.json.schema(struct))}
+    assert patterns == PATTERNS.keys()

@@ -396,3 +396,24 @@ def test_an_override_reaches_into_lists(key: str) -> None:
 def test_an_override_that_has_no_place_is_refused(overrides: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         load_scene("corner", overrides)
+
+
+@pytest.mark.parametrize("is_linked", [False, True])
+def test_files_of_a_linked_scene(is_linked: bool, tmp_path: Path) -> None:
+    """They are in the folder of the link, as for other programs, or in that of its target if the link has none."""
+    target, link = tmp_path / "target", tmp_path / "link"
+    for folder in (target, link):
+        folder.mkdir()
+    (target / "part.ply").touch()
+    (target / "scene.toml").write_text(
+        '[fingertip]\nradius_m = 0.01\n[[object]]\nname = "part"\nshape = "mesh"\nfile = "part.ply"\nroot = "."\n'
+        "[object.material]\nstiffness_n_per_m = 1000.0\n"
+    )
+    (link / "scene.toml").symlink_to("../target/scene.toml")
+    if is_linked:
+        (link / "part.ply").symlink_to("../target/part.ply")
+    (part,) = load_scene(link / "scene.toml").object
+    assert isinstance(part, schema.Mesh)
+    assert (part.file, part.root) == (
+        (f"{link}/part.ply", f"{link}") if is_linked else (f"{target}/part.ply", f"{target}")
+    )

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -252,6 +253,35 @@ def test_failure_while_setting_up_closes_and_leaves_expert_mode(stub: Stub, benc
     with bench.open_unarmed() as device, pytest.raises(DeviceError, match="dhdSetForce"):
         device.arm()
     assert stub["force_on"] == 0 and stub["opens"] == stub["closes"] == 1
+
+
+def test_a_close_during_a_close_does_not_close_the_next_device(
+    bench: OmegaBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal handler closes all devices between two instructions of a close; the library reuses ids."""
+    closed = []
+
+    class InterruptedFields:
+        def __init__(self, fields: Any) -> None:
+            self._fields, self.interrupted = fields, False
+
+        def __getitem__(self, at: int) -> Any:
+            value = self._fields[at]
+            if at == exchange.AT.open and value and not self.interrupted:
+                self.interrupted = True
+                device.close()
+            return value
+
+        def __setitem__(self, at: int, value: Any) -> None:
+            self._fields[at] = value
+
+    with bench.open() as device:
+        device.stop()
+        monkeypatch.setattr(device._library, "drdClose", closed.append)
+        monkeypatch.setattr(device, "_word", InterruptedFields(device._word))
+        device.close()
+        device.close()
+    assert closed == [device._id]
 
 
 @pytest.mark.parametrize(

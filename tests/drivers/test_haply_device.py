@@ -309,6 +309,29 @@ def test_a_workspace_that_was_moved_is_refused(service: Service) -> None:
         opened(service).close()
 
 
+def test_a_workspace_that_is_moved_during_a_run_ends_it(service: Service) -> None:
+    with exchanging(service) as (device, servo):
+        push_up(device, servo)
+        service.set(
+            transform={
+                "position": {"x": 0, "y": 0, "z": 0},
+                "rotation": {"w": 1, "x": 0, "y": 0, "z": 0},
+                "scale": {"x": 2, "y": 1, "z": 1},
+            }
+        )
+        assert first_failure(servo) == LOST
+        assert "moves, turns or scales its positions" in device.reason()
+        at_rest(service)
+
+
+def test_a_device_without_a_state_is_one_clear_error(service: Service) -> None:
+    for key in ("state", "config"):
+        service.set(spoil=f'{{"session_id":1,"inverse3":[{{"device_id":"{ID}","{key}":null}}]}}')
+        with pytest.raises(DeviceError, match=f"^inverse3 {ID}: the service lists it without a state: switch it on"):
+            opened(service)
+    service.set(spoil=None)
+
+
 def test_warnings_of_the_service_are_reported(service: Service) -> None:
     with exchanging(service) as (device, _):
         assert device.warning() == ""
@@ -346,6 +369,7 @@ BAD: dict[str, tuple[str, int, str]] = {
     "a name that steers terminals": (
         '{"inverse3":[{"device_id":"\\u001b[2J","state":{}}]}', PROTOCOL, "matching regex",
     ),
+    "null": (f'{{"inverse3":[{{"device_id":"{ID}","state":null}}]}}', LOST, "lists it without a state"),
     "nobody": ("{}", LOST, "inverse3 049D is no longer in the service's list"),
 }  # fmt: skip
 

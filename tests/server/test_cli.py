@@ -5,9 +5,11 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,8 +20,15 @@ from helpers.programs import run_program
 from helpers.recorded import printed
 from helpers.telemetry_records import synthetic
 
+from softfinger.config.schema import Scene
+from softfinger.config.sources import FOLDERS
 from softfinger.server.cli import VERBS, make_parser
 from softfinger.server.recording.results import read_results, write_blocks
+from softfinger.server.recording.summary import summarize
+from softfinger.server.wire.commands import RecordStartResult
+from softfinger.server.wire.envelope import encode_answer
+from softfinger.server.wire.events import make_event
+from softfinger.server.wire.protocol import encode
 from softfinger.tools.bench.options import KINDS
 
 SIMULATE = ["simulate", "--scene", "paper-plane", "--poses", "tap"]
@@ -350,6 +359,8 @@ LONG = "x" * 300
         (f"run --endpoint tcp://127.0.0.1:* --recording {LONG}.csv", 3, "File name too long"),
         (f"record --poses {LONG}.csv --timeout 0.1 --endpoint ipc:///nowhere/x", 9, "no telemetry"),
         ("NUMBA_DISABLE_JIT=1 run --endpoint tcp://127.0.0.1:*", 5, "NUMBA_DISABLE_JIT is set"),
+        ("NUMBA_DISABLE_JIT=1 doctor --seconds 0.1", 5, "NUMBA_DISABLE_JIT is set"),
+        ("NUMBA_DISABLE_JIT=1 stability", 5, "NUMBA_DISABLE_JIT is set"),
     ],
 )
 def test_an_unusable_stream_name_or_environment_gives_one_line(line, code, message):
@@ -408,3 +419,18 @@ def test_run_is_drawn(tmp_path):
         drawn.append((tmp_path / name).read_text())
     assert drawn[0] == drawn[1]
     assert all(f">{word}</text>" in drawn[0] for word in ("penetration", "norm", "torsion", "rolling", "time [s]"))
+
+
+def test_names_that_are_not_utf8(tmp_path: Path) -> None:
+    """Python represents their bytes by lone surrogates, which messages and files in UTF-8 cannot contain."""
+    folder = tmp_path / os.fsdecode(b"\xff")
+    folder.mkdir()
+    scene, recording = folder / os.fsdecode(b"scene\xff.toml"), folder / "run.mcap"
+    shutil.copy(FOLDERS[Scene] / "paper-plane.toml", scene)
+    words = ["--scene", str(scene), "--record", str(recording), "--endpoint", "tcp://127.0.0.1:*"]
+    assert called("run", *words, "--realtime", "off", "--duration", "0.1").returncode == 0
+    info = summarize(recording)
+    assert info["whole"] and info["scene_name"] is not None
+    event = make_event((1, 2.0), "change", "record_start", {"file": str(folder), "more": [str(folder)]})
+    for encoded in (encode(event), encode_answer("1", RecordStartResult(str(folder), 0))):
+        assert b"/\\udcff" in encoded

@@ -304,6 +304,7 @@ REFUSED = [
      "another model"),
     ("set_params", {STIFFNESS: 800.0, PUSH: [0.0, 0.0, 1e9]}, "bad_params", "effect[0].force_n"),
     ("set_params", {}, "bad_params", "length >= 1"),
+    ("set_prompt", {"colour": "red"}, "bad_params", "colour: Expected `str` like #3366cc, or empty"),
     ("set_params", {"a" * 257: 1}, "bad_params", "length <= 256"),
     ("set_scene", {"scene": "sphre"}, "bad_params", "did you mean 'sphere'"),
     ("set_scene", {"scene": "/etc/passwd"}, "bad_params", "as a complete map"),

@@ -15,6 +15,7 @@ import resource
 import select
 import shutil
 import signal
+import stat
 import struct
 import subprocess
 import sys
@@ -29,22 +30,25 @@ import zmq
 from emulators.serialboard import Board, Cable
 from faults_seen import SEEN
 from helpers.c_stub import COMPILER, NO_COMPILER, compile_stub
+from helpers.daemons import make_daemon
 from helpers.pages import is_served
 from helpers.processes import COMMAND, find_child, has_exited, list_children, read_command_line, read_state
 from helpers.programs import Program, run_program
 from helpers.rig_files import write_rig
 from helpers.serial_devices import PLACE, RIG, at_rest
-from helpers.waits import eventually, until
+from helpers.waits import WAIT_S, eventually, until
 from test_signals import END_S, FORCE_N, START_S, ZERO, pressing
 from websockets.exceptions import WebSocketException
 
 from softfinger.config.errors import RecordingError
+from softfinger.config.schema import find_runtime_folder
 from softfinger.drivers.samples import PAUSE_MIN_NS
 from softfinger.proxy.record import AT
 from softfinger.server.loop.guard import RAMPING
 from softfinger.server.recording.reader import Event, TickBlock, read_contents
 from softfinger.server.wire.client import subscribe
 from softfinger.server.wire.control import Control
+from softfinger.server.wire.endpoint import listen
 from softfinger.tools.bench.soak import connect_to_page
 
 pytestmark = pytest.mark.real_time
@@ -456,3 +460,54 @@ def test_a_kill_at_any_time_leaves_no_process(tmp_path: Path) -> None:
                 recorded += count_readable(recording)
         run_to_end(tmp_path, rig)
     assert recorded > 0 or len(VICTIMS) >= KILLS, "no kill came after the first tick"
+
+
+def test_removed_socket_files_are_bound_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Connected peers stay connected, and new ones connect, also to a process that is restarted afterwards."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = find_runtime_folder()
+    telemetry, commands = f"ipc://{folder}/t", f"ipc://{folder}/t.commands"
+
+    def ticks() -> bool:
+        with subscribe(telemetry, timeout_s=0.5) as samples:
+            return samples.receive(0.5) is not None
+
+    def count_lines() -> int:
+        return caplog.text.count("was bound again")
+
+    with (
+        make_daemon(changes={"telemetry.endpoint": telemetry}) as daemon,
+        Control(commands) as connected,
+        subscribe(telemetry, timeout_s=WAIT_S) as samples,
+    ):
+        daemon.start()
+        connected.disarm()
+        pids = daemon.publisher.pids
+        shutil.rmtree(folder)
+        until(lambda: count_lines() == 2)
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        with Control(commands, WAIT_S) as control:
+            control.arm()
+        until(ticks)
+        connected.disarm()
+        assert samples.receive(WAIT_S) is not None and daemon.publisher.pids == pids
+
+        socket_file = Path(f"{folder}/t.commands")
+        socket_file.unlink()
+        socket_file.touch()  # not removed: it may be a file of the user
+        until(lambda: "exists and is not a socket" in caplog.text)
+        socket_file.unlink()
+        until(lambda: count_lines() == 3)
+        os.kill(pids["commands"], signal.SIGKILL)
+        until(lambda: daemon.publisher.restarts == 1)
+        with Control(commands, WAIT_S) as control:
+            control.arm()
+        replaced = folder.rename(tmp_path / "replaced")
+        with listen(commands, "key").files:  # another server claims the path before the daemon
+            until(lambda: "is in use: stop" in caplog.text)
+            assert socket_file.exists()
+        until(lambda: count_lines() == 5)
+    assert not socket_file.exists() and replaced.exists()
+    assert caplog.text.count("exists and is not a socket") == 1

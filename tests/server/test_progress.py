@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from io import FileIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,11 +23,16 @@ from softfinger.proxy.record import RECORD_SIZE
 from softfinger.server import progress as display
 from softfinger.server.experiment.analysis import fit_groups
 from softfinger.server.experiment.experiment import Experiment
+from softfinger.server.loop import servo_thread
+from softfinger.server.offline import cost
 from softfinger.server.progress import name_warmup
 from softfinger.server.recording.export import export
 from softfinger.server.recording.results import read_results
 from softfinger.server.recording.tables import make_table_format, read_table
 from softfinger.server.standard_error import write_line
+from softfinger.server.verbs import check
+from softfinger.tools import exchange
+from softfinger.tools.stability import limit
 
 LOGGING = """
 import logging, sys, time
@@ -91,6 +97,32 @@ def test_lines_without_a_terminal_show_the_share(monkeypatch, capsys):
             report_progress(number)
             line = re.compile(rf"^work {25 * number}% \.\.\. \d+ s$", re.MULTILINE)
             until(lambda line=line: line.search(capsys.readouterr().err))
+    assert display.format_progress("work", 0, 4, lambda: "compiling") == "work: compiling"
+    assert display.format_progress("work", 1, 4, lambda: "compiling") == "work 25%: compiling"
+
+
+@pytest.mark.parametrize("name", ["check", "stability", "exchange"])
+def test_verbs_that_compile_name_the_number_of_kernels(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They stop at the first kernel, at which the progress line has the number of kernels to come."""
+    monkeypatch.setattr(servo_thread, "PLAIN", False)
+
+    def stop(*_: object) -> None:
+        COMPILE_PROGRESS.begin()
+        try:
+            raise InterruptedError(str(COMPILE_PROGRESS))
+        finally:
+            COMPILE_PROGRESS.end()
+
+    monkeypatch.setattr(cost, "make_touching_poses", stop)
+    monkeypatch.setattr(limit, "run_rows", stop)
+    monkeypatch.setattr(exchange, "exchange_loop", SimpleNamespace(compile=stop))
+    call, number = {
+        "check": (lambda: check.add_costs(check.examine_file("paper-plane")), 260),
+        "stability": (limit.compile_search, limit.KERNELS),
+        "exchange": (exchange.compile_exchange, exchange.KERNELS),
+    }[name]
+    with pytest.raises(InterruptedError, match=rf"^compiling kernel 1 \(about {number} with an empty cache\)$"):
+        call()
 
 
 def test_long_waits_report_their_share(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

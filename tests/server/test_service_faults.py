@@ -1,5 +1,8 @@
 """Failing services, monitors, a clock that is set, the queue of requests: the run continues, or ends with an error."""
 
+import errno
+import os
+import socket
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,9 +12,11 @@ import msgpack
 import numpy as np
 import pytest
 from helpers.waits import ends_within, until
+from test_devices_verb import plug_hid, plug_usb, root  # noqa: F401  (a fixture)
 
 from softfinger.config.errors import RecordingError, SafetyStop
 from softfinger.proxy.record import AT, CAUSE_TOUCH, RECORD_SIZE, ROLLING
+from softfinger.server.metrics import service as metrics_service
 from softfinger.server.metrics.counts import MetricsCollector
 from softfinger.server.metrics.service import MetricsService
 from softfinger.server.recording.recorder import RecorderState
@@ -21,6 +26,7 @@ from softfinger.server.services.monitoring import (
     DEVICE_WARNING,
     SWAPPED,
     DeviceWarningMonitor,
+    HotplugDetector,
     HotplugMonitor,
     SwapMonitor,
 )
@@ -160,14 +166,55 @@ def test_memory_in_swap_is_reported_once(tmp_path: Path, caplog: pytest.LogCaptu
     assert caplog.text.count("softfinger doctor") == 2
 
 
-def test_the_first_check_is_immediate_and_failures_are_events(tmp_path: Path) -> None:
-    events: list[Any] = []
-    watch = SwapMonitor(lambda *words, **fields: events.append((words, fields)), tmp_path / "nothing")
-    watch.start()
-    watch._thread.join(10.0)
-    watch.stop()
-    ((words, fields),) = events
-    assert words == ("fault", SWAPPED) and "No such file" in fields["message"]
+def test_checks_continue_after_a_lack_of_files(monkeypatch: pytest.MonkeyPatch, root: Path) -> None:  # noqa: F811
+    events: list[tuple[str, str, str]] = []
+
+    def event(kind: str, name: str, message: str = "", device: str = "", **_: Any) -> None:
+        events.append((kind, name, message or device))
+
+    no_files, listdir = OSError(errno.EMFILE, "Too many open files"), os.listdir
+
+    def refuse(*_: object) -> list[str]:
+        raise no_files
+
+    plug_usb(root, "1-1", "1451", "0402")
+    hotplug, status = HotplugDetector(root), root / "nothing"
+    swap, usb = SwapMonitor(event, status), HotplugMonitor(hotplug, event)
+    swap._period_s = usb._period_s = 0.01
+    monkeypatch.setattr(os, "listdir", refuse)
+    for watch in (swap, usb):
+        watch.start()
+    until(lambda: len(events) == 3)
+    monkeypatch.setattr(os, "listdir", listdir)
+    plug_hid(root, 3, "0003:0000046D:0000C626")
+    (root / "status").write_text("VmSwap:\t   12 kB\n")
+    (root / "status").rename(status)
+    until(lambda: len(events) == 5)
+    for watch in (swap, usb):
+        watch.stop()
+    assert {(kind, name) for kind, name, _ in events[:3]} == {
+        ("fault", SWAPPED), ("fault", "hotplug"), ("device", "present"),
+    }  # fmt: skip
+    assert sum("Too many open files; checked again" in message for *_, message in events[:3]) == 1
+    assert {(kind, name) for kind, name, _ in events[3:]} == {("fault", SWAPPED), ("device", "attached")}
+
+
+def test_the_metrics_wait_for_a_free_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A connection that cannot be accepted stays in the queue, so the server would retry without a pause."""
+    acts: list[str] = []
+
+    def refuse() -> None:
+        acts.append("accept")
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(metrics_service.time, "sleep", lambda _: acts.append("pause"))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        server: Any = metrics_service._Server(SimpleNamespace(listener=listener), None)
+        server.socket = SimpleNamespace(accept=refuse, fileno=listener.fileno, gettimeout=listener.gettimeout)
+        with socket.create_connection(listener.getsockname()):
+            server.handle_request()
+            server.handle_request()
+    assert acts == ["accept", "pause"] * 2
 
 
 def test_each_warning_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:

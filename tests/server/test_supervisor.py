@@ -26,6 +26,7 @@ from softfinger.server import watcher
 from softfinger.server.loop.fault_detection import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
 from softfinger.server.services import supervisor as supervising
 from softfinger.server.services.supervisor import Supervisor
+from softfinger.server.verbs import run
 
 pytestmark = pytest.mark.plain
 
@@ -234,3 +235,19 @@ def test_a_watcher_that_ends_repeatedly_is_reported_once(port: tuple[int, int]) 
     watching.dismiss()
     acts = [report.rpartition("(-9) and ")[2].partition(":")[0] for report in reports]
     assert acts == ["", *["was restarted"] * watcher.RESTARTS, "is not restarted", ""]
+
+
+def test_a_watcher_is_known_if_the_next_one_cannot_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise nothing would end it."""
+
+    def start(node: str, *_: object) -> str:
+        if node == "second":
+            raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
+        return node
+
+    monkeypatch.setattr(run, "Watcher", start)
+    devices = [SimpleNamespace(last_word=lambda node=node: (node, 3, ZERO)) for node in ("first", "second")]
+    watchers: list[Any] = []
+    with pytest.raises(OSError, match="temporarily"):
+        run.start_watchers(SimpleNamespace(devices=devices), watchers)  # type: ignore[arg-type]
+    assert watchers == ["first"]

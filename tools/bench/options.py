@@ -121,6 +121,9 @@ def _configure_kind(add_own_options: Callable[[argparse.ArgumentParser], None], 
 
 
 def run(args: argparse.Namespace) -> int:
+    from softfinger.server.loop.servo_thread import require_machine_code  # it imports numba
+
+    require_machine_code("a measurement")
     module = importlib.import_module(f"softfinger.tools.bench.{args.kind.replace('-', '_')}")
     code: int = module.run(args)
     return code

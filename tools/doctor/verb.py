@@ -12,6 +12,7 @@ from typing import Any
 from softfinger.config.errors import ConfigError, Unfit
 from softfinger.config.load import load_rig, load_scene
 from softfinger.config.schema import Rig, Scene
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.machine import STATES, Check, format_lines
@@ -22,6 +23,7 @@ from softfinger.tools.measure import show
 def run(args: argparse.Namespace) -> int:
     """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
     check_seconds(args.seconds)
+    require_machine_code("the doctor")
     if args.device_report is not None:
         return report.run(args)
     if args.with_force is not None or args.no_prompts:

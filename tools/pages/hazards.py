@@ -321,6 +321,11 @@ HAZARDS: Final = (
          "tests/server/test_process_faults.py::test_a_page_without_memory_is_restarted", _NO_FILES),
     ),
     Hazard(
+        "a removed socket file, as at the end of a login session",
+        f"a check every {monitoring.SOCKET_FILE_PERIOD_S:g} s", "none", "as before", "none: it is bound again",
+        ("fault publisher",), ("tests/server/test_process_faults.py::test_removed_socket_files_are_bound_again",),
+    ),
+    Hazard(
         "a process of commands that hangs", "the loop: it does not report that it reads requests",
         f"{1e3 * UNREACHABLE_MAX_S:g} ms and {1e3 * MAX_OFF_S:g} ms", "zero",
         f"the ramp, if it continues; after {process_link.SILENT_MAX_S:g} s it is restarted: `arm`",

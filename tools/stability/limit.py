@@ -24,6 +24,7 @@ from softfinger.drivers.simulated.plant import (
     make_plant,
     sense,
 )
+from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.kernels.jit.pack import flatten, unpack
 from softfinger.proxy.kernels.model import (
@@ -42,6 +43,7 @@ from softfinger.server.loop.clock import NS_PER_S, compute_period_ns
 from softfinger.server.loop.guard import Guard
 from softfinger.server.loop.hand_limits import UNLIMITED
 from softfinger.server.loop.passivity import Passivity
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.loop.tick import Memory, Tuning, make_start_memory, run_tick
 from softfinger.server.offline.closed_loop import NULL_RECORD
 from softfinger.server.progress import show_progress
@@ -303,8 +305,14 @@ def find_limits(cases: Sequence[WallCase]) -> list[dict[str, Any]]:
     ]
 
 
+KERNELS: Final = 210
+"""Kernels that the search compiles with an empty cache: rounded up (203)."""
+
+
 def compile_search() -> None:
     """Compile the search, or load it, once, so that the processes of a local cluster find it compiled."""
+    require_machine_code("the search")
+    COMPILE_PROGRESS.expect(KERNELS)
     with show_progress("kernels"):
         plant = WallCase().plant()
         run_rows(np.array([loop_of(WallCase(), 1.0, 1)]), flatten(plant).reshape(1, -1), plant)

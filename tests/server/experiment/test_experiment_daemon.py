@@ -26,7 +26,7 @@ from helpers.shortages import file_size_limit
 from helpers.waits import WAIT_S, repeated
 from test_trial_order import STIFFNESS, make_tables
 
-from softfinger.config.errors import CommandRefused, DeviceLost, HapticError, RecordingError, SafetyStop
+from softfinger.config.errors import CommandRefused, DeviceLost, Exhausted, HapticError, SafetyStop
 from softfinger.config.materials import load_materials
 from softfinger.config.sources import EXPERIMENTS, list_names
 from softfinger.proxy.record import FREE
@@ -207,7 +207,7 @@ def test_a_session_stops_on_a_full_disk_and_repeats_that_trial(tmp_path: Path, m
 
     monkeypatch.setattr(Haptics, "touch", touch_and_note)
     monkeypatch.setattr(Haptics, "_store", store_and_fill_disk)
-    with file_size_limit(limit), pytest.raises(RecordingError) as ended:
+    with file_size_limit(limit), pytest.raises(Exhausted) as ended:
         Experiment(experiment()).run(out, 1, settings(tmp_path))
     monkeypatch.undo()
     start = re.escape(str(own / "sub-01_run-01_ticks.mcap")) + r": the recording ends after \d+ ticks: File too large: "

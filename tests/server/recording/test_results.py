@@ -101,6 +101,12 @@ def test_the_types_of_a_damaged_part_are_read_at_the_end(tmp_path: Path) -> None
     info = summarize(path)
     assert 0 < info["first_tick"] == len(run()) - info["ticks"] < len(run()) // 4
     assert "a part is damaged" in info["cut"]
+    assert (info["missing"], info["gaps"], info["longest_gap"]) == (info["first_tick"], 1, info["first_tick"])
+    for number in (-2, -1):  # they become the last part that is read, and a part at the end
+        flip(path, chunk_offsets(path)[number])
+    info = summarize(path)
+    assert (info["missing"], info["gaps"]) == (len(run()) - info["ticks"], 2)
+    assert info["longest_gap"] == max(info["first_tick"], len(run()) - 1 - info["last_tick"])
     path.write_bytes(path.read_bytes()[:-1000])
     with pytest.raises(RecordingError, match=r"run\.mcap: has no tick: a part is damaged"):
         summarize(path)
