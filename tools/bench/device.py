@@ -10,14 +10,13 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.registry import open_device
-from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
+from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import format_burst, format_table, summarize_burst, summarize_part
 from softfinger.tools.measure import Array, draw_exceedance, show_and_draw
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns the exit code. The device receives zero force only."""
-    check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
     with (

@@ -26,7 +26,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError, Unfit
+from softfinger.config.errors import Unfit
 from softfinger.config.load import load_rig
 from softfinger.config.schema import Rig
 from softfinger.server import signals
@@ -94,8 +94,6 @@ class SoakResult(NamedTuple):
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; raises Unfit if something grows or a tick was lost."""
-    if not 0.1 <= args.minutes <= 10_000.0:
-        raise ConfigError(f"--minutes {args.minutes:g} must be from 0.1 to 10 000")
     rig = load_rig("simulated", {"servo.realtime": args.realtime})
     soaked = run_soak(rig, 60.0 * args.minutes)
     result = evaluate(soaked)

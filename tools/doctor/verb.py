@@ -15,13 +15,11 @@ from softfinger.config.schema import Rig, Scene
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.machine import STATES, Check, format_lines
-from softfinger.tools.exchange import check_seconds
 from softfinger.tools.measure import show
 
 
 def run(args: argparse.Namespace) -> int:
     """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
-    check_seconds(args.seconds)
     if args.device_report is not None:
         return report.run(args)
     if args.with_force is not None or args.no_prompts:
