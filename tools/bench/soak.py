@@ -52,7 +52,7 @@ WARM_S: Final = 600.0
 """Allocators and caches fill in the first minutes. In a run below half an hour, the first third is ignored."""
 GROWTH_MAX: Final = {"resident_mb": 1.0, "descriptors": 1.0, "threads": 1.0}
 """Allowed growth per hour; less cannot be distinguished from the steps of an allocator."""
-LIMITED: Final = {"resident_mb": 0.5, "descriptors": 1.0, "threads": 1.0}
+GAIN_MAX: Final = {"resident_mb": 0.5, "descriptors": 1.0, "threads": 1.0}
 """Allowed growth in the complete run, however short; a page of memory is not a leak."""
 BLOCKS: Final = 120
 """Number of medians that the samples are reduced to."""
@@ -246,7 +246,7 @@ def evaluate(soaked: SoakResult) -> dict[str, Any]:
             slope, at_least = compute_growth(hours[warm], column)
             gained = at_least * (hours[warm][-1] - hours[warm][0])
             processes[name][field] = {"last": float(column[-1]), "an_hour": slope, "an_hour_at_least": at_least}
-            if at_least > GROWTH_MAX[field] and gained > LIMITED[field]:
+            if at_least > GROWTH_MAX[field] and gained > GAIN_MAX[field]:
                 faults.append(f"{name}: {field} grows by {slope:.2f} an hour, at least {at_least:.2f}")
     if soaked.lost:
         faults.append(f"subscribers did not get {soaked.lost} ticks")
