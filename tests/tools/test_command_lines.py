@@ -44,6 +44,7 @@ def test_invalid_arguments_give_one_clear_error(words, pieces, tmp_path, monkeyp
         ("bench soak --minutes 0", "from 0.1 to 10000"),
         ("bench mesh --levels 0", "from 1 to 9"),
         ("bench simulate --ticks 10", "at least 1000"),
+        ("bench view --viewers 0", "at least 1"),
         ("accuracy --rate 0", "from 4 to 100000"),
         ("accuracy --drift-steps 10", "from 1000 to 1e+10"),
         ("calibrate --mass 1", "from 0.02 to 0.4: use another weight"),
