@@ -1,6 +1,7 @@
 """Argument parser of all verbs, and argument types that several verbs share; refuses bad values before work starts."""
 
 import argparse
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -171,13 +172,14 @@ def duration(text: str) -> float:
     return seconds
 
 
-def at_least(minimum: float) -> Callable[[str], float]:
-    """Return the type of an option whose numbers are at least `minimum`; integers if `minimum` is one."""
+def within(low: float, high: float = math.inf, reason: str = "") -> Callable[[str], float]:
+    """Return the type of an option whose numbers are from `low` to `high`; integers if `low` is one."""
 
     def number(text: str) -> float:
-        value = type(minimum)(text)
-        if not value >= minimum:
-            raise argparse.ArgumentTypeError(f"{text}: must be at least {minimum:g}")
+        value = type(low)(text)
+        if not low <= value <= high:
+            limits = f"at least {low:g}" if high == math.inf else f"from {low:g} to {high:g}"
+            raise argparse.ArgumentTypeError(f"{text}: must be {limits}{reason and f': {reason}'}")
         return value
 
     return number

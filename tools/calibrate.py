@@ -30,7 +30,6 @@ from softfinger.tools import measure
 from softfinger.tools.measure import Array
 
 GRAVITY: Final = 9.80665
-MASS_KG: Final = (0.02, 0.4)
 """Lighter weights are lost in friction; heavier ones exceed the force of some Falcons with an unknown gain."""
 SPRING_N_PER_M: Final = 150.0
 DAMPER_NS_PER_M: Final = 3.0
@@ -112,8 +111,6 @@ class HoldController:
 
 
 def run(args: argparse.Namespace) -> int:
-    if not MASS_KG[0] <= args.mass <= MASS_KG[1]:
-        raise ConfigError(f"--mass {args.mass:g}: must be from {MASS_KG[0]:g} to {MASS_KG[1]:g} kg: use another weight")
     rig = load_rig(args.rig)
     config = find_single_device(rig)
     with open_device(config, rig.servo.rate_hz) as device:

@@ -20,8 +20,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.config.errors import ConfigError, SafetyStop
-from softfinger.config.limits import Range
+from softfinger.config.errors import SafetyStop
 from softfinger.config.schema import Rig
 from softfinger.drivers.base import END, HELD, OK, SAMPLE_SIZE, WITHHELD, Device, DeviceIO
 from softfinger.drivers.system.libc import IO_SIGNATURE
@@ -68,7 +67,6 @@ and than the time that other programs tolerate on a machine with one processor.
 """
 FORCE_CYCLES: Final = 3.0
 """Sine cycles in a push, under an envelope that starts and ends at zero."""
-SECONDS: Final = Range(0.1, 60.0, "a row of every tick is stored in memory")
 JOIN_S: Final = 2.0
 """An exchange that takes longer than this to end hangs; the device is then stopped by the caller's thread."""
 
@@ -393,12 +391,6 @@ class Exchange:
             shutdown.run_all_steps(lambda: shutdown.stop(self.device), first=error)
         elif error is None:
             self._raise_crash()
-
-
-def check_seconds(seconds: float) -> None:
-    """Raise ConfigError for a part that cannot be recorded."""
-    if not SECONDS.low <= seconds <= SECONDS.high:
-        raise ConfigError(f"--seconds {seconds:g}: must be from {SECONDS.low:g} to {SECONDS.high:g}: {SECONDS.reason}")
 
 
 def make_disarmed_guard(rig: Rig) -> Guard:

@@ -8,7 +8,7 @@ import numpy as np
 
 from softfinger.drivers.base import SAMPLE_TIME, STALE
 from softfinger.tools import exchange
-from softfinger.tools.measure import Array, compute_quantiles, format_microseconds
+from softfinger.tools.measure import QUANTILES_HEAD, Array, compute_quantiles, format_quantiles
 
 HISTOGRAM_S: Final = tuple(float(f"{base}e{power}") for power in range(-8, 0) for base in (1, 2, 5))
 """Edges of the histogram's bins: 10 ns to half a second, three per decade."""
@@ -73,15 +73,11 @@ def make_histogram(values: Array) -> list[list[float]]:
 def format_table(result: dict[str, Any]) -> list[str]:
     lines = [
         "  us; in brackets the median over blocks of 1 s; empty: functions that do nothing, in the same ticks",
-        f"  {'':<14}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")),
+        f"  {'':<14}{QUANTILES_HEAD}",
     ]
     for name in TIMES:
         for label, figures in ((name, result[name]), ("  empty", result[name]["empty"])):
-            cells = (
-                f"{format_microseconds(figures[q])} ({format_microseconds(figures['blocks'][q])})"
-                for q in figures["blocks"]
-            )
-            lines.append(f"  {label:<14}" + "".join(f"{cell:>22}" for cell in cells))
+            lines.append(f"  {label:<14}{format_quantiles(figures)}")
     ratios = (f"{name} {result[name]['over_empty']['p50']:.1f}" for name in TIMES)
     lines.append(f"  times the empty exchange, p50: {', '.join(ratios)}")
     step = result["sample_step_s"]

@@ -87,6 +87,20 @@ def draw_bars(path: Path, costs: Mapping[str, float], unit: str) -> None:
     save(drawing, path)
 
 
+QUANTILES_HEAD: Final = "".join(f"{name:>22}" for name in QUANTILES)
+
+
+def format_quantiles(quantiles: Mapping[str, Any]) -> str:
+    """Return percentiles of `compute_quantiles`, us, below QUANTILES_HEAD; in brackets the median over blocks."""
+    blocks = quantiles["blocks"]
+    cells = (f"{format_microseconds(quantiles[q])} ({format_microseconds(blocks[q])})" for q in QUANTILES)
+    return "".join(f"{cell:>22}" for cell in cells)
+
+
+def format_realtime(settings: Mapping[str, bool]) -> str:
+    return "  real time: " + ", ".join(f"{name} {'yes' if is_on else 'no'}" for name, is_on in settings.items())
+
+
 def format_microseconds(seconds: float) -> str:
     return f"{seconds * 1e6:9.2f}"
 

@@ -14,11 +14,13 @@ from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.fields import find_unit
-from softfinger.server.arguments import add_flag, add_option
+from softfinger.server.arguments import add_flag, add_option, within
 from softfinger.server.offline.figures import plot_file
 
 PUSH_N: Final = 0.2
 """Amplitude of the pushes: a tenth of the force of most devices, and more than the friction of a good one."""
+SECONDS: Final = limits.Range(0.1, 60.0, "a row of every tick is stored in memory")
+"""Limits of the duration of a measured exchange."""
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -73,13 +75,14 @@ def configure_report(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--rig", "rig file or name", default="replay")
     add_option(parser, "--scene", "scene file or name", default="paper-plane")
     add_option(parser, "--out", "archive", default=Path("softfinger-report.tar.gz"), type=Path, metavar="FILE")
-    add_option(parser, "--boxes", "number of black boxes, latest first", default=3, metavar="N")
-    add_option(parser, "--seconds", "duration of each measurement of doctor", default=1.0)
+    add_option(parser, "--boxes", "number of black boxes, latest first", default=3, type=within(0), metavar="N")
+    add_option(parser, "--seconds", "duration of each measurement of doctor", default=1.0, type=within(*SECONDS))
 
 
 def configure_calibrate(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--rig", "rig file of a Falcon, or the name of a shipped one", default="falcon", metavar="FILE")
-    parser.add_argument("--mass", type=float, required=True, metavar="KG", help="mass of the weight, 0.02 to 0.4")
+    mass = within(0.02, 0.4, "use another weight")
+    add_option(parser, "--mass", "mass of the weight, 0.02 to 0.4", type=mass, required=True, metavar="KG")
     add_option(parser, "--hang", "time to attach the weight", default=60.0, metavar="S")
     add_output_options(parser)
 
@@ -91,7 +94,7 @@ def configure_doctor(parser: argparse.ArgumentParser) -> None:
     )
     add_option(parser, "--rig", "rig file or the name of a shipped one", default="replay")
     add_option(parser, "--scene", "scene whose step is timed", default="paper-plane")
-    add_option(parser, "--seconds", "duration of each measurement", default=3.0)
+    add_option(parser, "--seconds", "duration of each measurement", default=3.0, type=within(*SECONDS))
     add_output_options(parser)
     parser.add_argument(
         "--device-report",
@@ -176,12 +179,13 @@ def configure_stability(parser: argparse.ArgumentParser) -> None:
     )
     add_flag(kinds, "--extremes", "run the tick at the extremes of all inputs and on random bytes")
     add_flag(kinds, "--bodies", "drag, balance and hold bodies of a [world], 1 g to 1 kg")
-    kinds.add_argument("--cases", type=int, metavar="N", help="run N random closed-loop cases and measure their speed")
+    cases = "run N random closed-loop cases and measure their speed"
+    add_option(kinds, "--cases", cases, type=within(1), metavar="N")
     add_flag(group, "--compare", "with --map: also with hand, friction, encoder and filter")
-    add_option(group, "--points", "points of a map", default=POINTS, metavar="N")
-    add_option(group, "--ticks", "ticks of each random case", default=1000, metavar="M")
-    add_option(group, "--seed", "seed of the random cases and bytes", default=0)
-    add_option(group, "--garbage", "ticks of random bytes per scene", default=250_000, metavar="M")
+    add_option(group, "--points", "points of a map", default=POINTS, type=within(2), metavar="N")
+    add_option(group, "--ticks", "ticks of each random case", default=1000, type=within(1), metavar="M")
+    add_option(group, "--seed", "seed of the random cases and bytes", default=0, type=within(0))
+    add_option(group, "--garbage", "ticks of random bytes per scene", default=250_000, type=within(1), metavar="M")
     add_sweep_options(parser)
     add_output_options(parser)
 
@@ -195,6 +199,8 @@ Motion = Literal["constant", "changing"]
 MOTIONS: Final[tuple[Motion, ...]] = ("constant", "changing")
 TARGETS_M: Final = (1e-4, 1e-5, 1e-6, 1e-7, 1e-9, 1e-12)
 DRIFT_STEPS: Final = 1_000_000
+DRIFT_BLOCK: Final = 1000
+"""Steps of the drift test between two measurements of the drift."""
 REPORT: Final = "accuracy.txt"
 
 
@@ -209,12 +215,12 @@ def configure_accuracy(parser: argparse.ArgumentParser) -> None:
         metavar="M",
         help=f"rolling methods: {', '.join(METHODS)} (default: all)",
     )
-    parser.add_argument("--rate", nargs="+", type=float, metavar="HZ", help="servo rates (default: 4 to 8000)")
+    rates = "servo rates (default: 4 to 8000)"
+    add_option(parser, "--rate", rates, nargs="+", type=within(4.0, 1e5), metavar="HZ")
     targets = "errors (m) to recommend methods for"
-    add_option(parser, "--error-below", targets, default=TARGETS_M, nargs="+", type=float, metavar="M")
-    parser.add_argument(
-        "--drift-steps", type=int, metavar="N", help=f"steps of the drift test (default: {DRIFT_STEPS})"
-    )
+    add_option(parser, "--error-below", targets, default=TARGETS_M, nargs="+", type=within(1e-15, 1.0), metavar="M")
+    steps = f"steps of the drift test (default: {DRIFT_STEPS})"
+    add_option(parser, "--drift-steps", steps, type=within(DRIFT_BLOCK, 10**10), metavar="N")
     instead = parser.add_mutually_exclusive_group()
     add_flag(instead, "--meshes", "compare meshes of a ball, a cylinder and a torus with the exact shapes instead")
     add_flag(instead, "--heightmap", "compare a height map with a mesh of the same pixels instead")

@@ -21,10 +21,10 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from softfinger.drivers import quaternions
+from softfinger.drivers.poses import POSE_COLUMNS
 from softfinger.tools import motions
 from softfinger.tools.motions import FREE_HEIGHT_M, RATE_HZ, Move, Vector
 
-HEADER: Final = "t,x,y,z,qw,qx,qy,qz"
 OVER_THE_PLANE: Final = (0.0, 0.0, FREE_HEIGHT_M)
 HALF_BOX_M: Final = 0.020
 OFF_CENTRE_M: Final = 0.008
@@ -88,7 +88,7 @@ def to_csv(script: Script) -> str:
     rounded = np.hstack([poses[:, :3].round(7), poses[:, 3:].round(8)]) + 0.0
     rows = np.column_stack([np.arange(len(poses)) / RATE_HZ, rounded])
     text = io.StringIO()
-    np.savetxt(text, rows, ["%.2f", *["%.7f"] * 3, *["%.8f"] * 4], ",", header=HEADER, comments="")
+    np.savetxt(text, rows, ["%.2f", *["%.7f"] * 3, *["%.8f"] * 4], ",", header=",".join(POSE_COLUMNS), comments="")
     return text.getvalue()
 
 

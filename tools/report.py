@@ -20,7 +20,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.errors import ConfigError, RecordingError
+from softfinger.config.errors import RecordingError
 from softfinger.config.files import make_write_error, open_input, write_new_file
 from softfinger.config.load import describe, load_rig, load_scene
 from softfinger.drivers.mcap_messages import iter_mcap_messages
@@ -32,7 +32,6 @@ from softfinger.server.recording.schemas import load_message_class
 from softfinger.server.recording.writer import LOG_TOPIC, RecordingFile
 from softfinger.tools.doctor import machine, privacy
 from softfinger.tools.doctor.verb import examine
-from softfinger.tools.exchange import check_seconds
 
 log: Final = logging.getLogger(__name__)
 
@@ -42,10 +41,7 @@ LEVEL_STEP: Final = 10
 
 def run(args: argparse.Namespace) -> int:
     """Write the archive, completely or not at all; returns 0. Raises the errors of `make_write_error`."""
-    check_seconds(args.seconds)
     require_machine_code("the doctor")
-    if args.boxes < 0:
-        raise ConfigError(f"--boxes {args.boxes}: must be 0 or more")
     rig, scene = load_rig(args.rig), load_scene(args.scene)
     place = blackbox.find_folder()
     if place is None:

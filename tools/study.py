@@ -66,7 +66,7 @@ def run(*words: str) -> bytes:
     return process.stdout
 
 
-def make_command(*words: str) -> dict[str, Any]:
+def run_as_json(*words: str) -> dict[str, Any]:
     result: dict[str, Any] = json.loads(run(*words, "--json"))
     return result
 
@@ -83,15 +83,15 @@ def make_tables(figures: Path, quick: bool) -> dict[str, str]:
     drift, points, short = DRIFT_STEPS, str(POINTS), []
     if quick:
         drift, points, short = 20_000, "3", ["--quick", "--surface", "plane", "torus"]
-    result = make_command("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
+    result = run_as_json("accuracy", *short, "--drift-steps", str(drift), "--figures", str(figures))
     tables = {"paper": format_markdown(report.format_paper_table(result))}
     draw_shipped_run(figures / "run.svg")
     draw_patches(figures / "patches.svg")
-    make_command("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
+    run_as_json("stability", "--wall-damping", "1", "--delay", "1", "--plot", str(figures / "stability-case.svg"))
     for name in MAPS:
         plot = figures / f"stability-{name}.svg"
-        make_command("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
-    result = make_command("stability", "--bodies")
+        run_as_json("stability", "--map", name, "--compare", "--points", points, "--plot", str(plot))
+    result = run_as_json("stability", "--bodies")
     tables["bodies"] = bodies_table.format_cases([bodies.CellResult(**row) for row in result["bodies"]])
     return tables
 

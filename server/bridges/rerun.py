@@ -146,6 +146,11 @@ class RerunSink:
         elif kind == "lines":
             points = [list(point.values()) for point in primitive["points"]]
             yield rr.LineStrips3D([[*points, points[0]]], radii=[0.5 * primitive["thickness"]], colors=color)
+        elif kind == "triangles":
+            points, indices = [list(point.values()) for point in primitive["points"]], primitive["indices"]
+            yield rr.Mesh3D(
+                vertex_positions=points, triangle_indices=np.reshape(indices, (-1, 3)), albedo_factor=color[0]
+            )
         else:
             yield rr.Points3D([(0.0, 0.0, 0.0)], labels=[primitive["text"]], colors=color)
 

@@ -16,7 +16,7 @@ from softfinger.server.experiment import checks, files
 from softfinger.server.experiment.answers import Participant
 from softfinger.server.experiment.daemon import RunOptions, record_ticks, run_doctor, start_daemon
 from softfinger.server.experiment.folder import ParticipantFolder, load, read_trials
-from softfinger.server.experiment.interfaces import NullApparatus
+from softfinger.server.experiment.interfaces import Stimulus, TouchResult
 from softfinger.server.experiment.journal import Entry, Journal, MemoryJournal
 from softfinger.server.experiment.observer import SimulatedObserver
 from softfinger.server.experiment.session import Session
@@ -66,7 +66,7 @@ class Experiment:
         journal, simulated = MemoryJournal(), SimulatedObserver(self.file, _check_participant(participant))
         session = Session(self.file, participant)
         session.welcome(journal, simulated)
-        session.run(journal, NullApparatus(), simulated)
+        session.run(journal, lambda stimulus: TouchResult({}, []), simulated)
         return [entry for entry in journal.entries if entry["kind"] == "done"]
 
     def run(self, folder: str | Path, participant: int, running: RunOptions = RunOptions()) -> list[Entry]:  # noqa: B008
@@ -128,7 +128,12 @@ class Experiment:
             journal, _ = _begin_run(stack, journal, participant_folder, {"about.json": {"daemon": False}}, True)
             session.welcome(journal, simulated)
             with show_progress("rehearsing", len(session.trials)) as update:
-                session.run(journal, NullApparatus(update), simulated, participant_folder)
+
+                def present(stimulus: Stimulus) -> TouchResult:
+                    update(stimulus.trial)
+                    return TouchResult({}, [])
+
+                session.run(journal, present, simulated, participant_folder)
             return
         # Before the device is opened: the doctor needs access to it.
         rig = files.resolve_source(self._folder, self.file.rig)
@@ -141,7 +146,7 @@ class Experiment:
             )
             session.welcome(journal, participant or simulated)
             with record_ticks(haptics, f"{participant_folder.label}/{participant_folder.name(number, 'ticks.mcap')}"):
-                session.run(journal, haptics, participant or simulated, participant_folder)
+                session.run(journal, haptics.touch, participant or simulated, participant_folder)
             if participant is not None:
                 participant.end()
 

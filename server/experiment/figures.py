@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from softfinger.config.errors import ConfigError
-from softfinger.config.files import write_new_file
 from softfinger.server.experiment.analysis import (
     ALL_PARTICIPANTS,
     AVERAGED_COLUMNS,
@@ -24,6 +22,7 @@ from softfinger.server.experiment.analysis import (
 )
 from softfinger.server.experiment.journal import Entry
 from softfinger.server.experiment.schema import ExperimentFile
+from softfinger.server.offline.figures import FORMATS, make_figure, save
 from softfinger.server.progress import show_progress
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 
 log: Final = logging.getLogger(__name__)
 
-SUFFIXES: Final = ("png", "svg")
 LABELS: Final = {
     "peak_force_n": "peak force (N)",
     "mean_force_n": "mean force (N)",
@@ -42,17 +40,10 @@ LABELS: Final = {
 
 def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list[Path]:
     """Draw the fits and AVERAGED_COLUMNS, if any, and return the files; raises ConfigError without matplotlib."""
-    try:
-        import matplotlib
-
-        matplotlib.use("agg")
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
     participants = list(dict.fromkeys(group.participant for group in groups))
     main_participant = ALL_PARTICIPANTS if ALL_PARTICIPANTS in participants else participants[0]
-    plt.rcParams["svg.hashsalt"] = "softfinger"  # same file for the same answers
-    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    figures = {"fit": make_figure(6.0, 4.0)}
+    axes = figures["fit"].subplots()
     for group in groups:
         (_draw_power_law if isinstance(group.fit, PowerLaw) else _draw_psychometric)(
             axes, group, is_faint=group.participant != main_participant
@@ -64,11 +55,10 @@ def draw(experiment: ExperimentFile, groups: Sequence[Group], out: Path) -> list
         axes.set(yscale="log", ylabel="duration (s)" if experiment.task.kind == "trace" else "answer")
     _label_ticks(axes)
     axes.legend(fontsize="small", title=name_factors(experiment))
-    figures = {"fit": figure}
     shown_groups = [group for group in groups if group.participant == main_participant]
     if any(group.means for group in shown_groups):
-        figures["felt"], all_axes = plt.subplots(1, len(AVERAGED_COLUMNS), figsize=(11, 3.2), layout="constrained")
-        for axes, name in zip(all_axes, AVERAGED_COLUMNS, strict=True):
+        figures["felt"] = make_figure(11.0, 3.2)
+        for axes, name in zip(figures["felt"].subplots(1, len(AVERAGED_COLUMNS)), AVERAGED_COLUMNS, strict=True):
             _draw_means(axes, shown_groups, name)
     return _save(figures, out)
 
@@ -77,29 +67,26 @@ def draw_session(
     experiment: ExperimentFile, rows: Sequence[Entry], table: Sequence[Entry], groups: Sequence[Group], out: Path
 ) -> list[Path]:
     """Draw interleaved staircases, confidence and surveys, if the experiment has them; return the files."""
-    import matplotlib.pyplot as plt  # after `draw`, which has chosen the backend
-
     figures = {}
     if experiment.procedure.starts:
-        figures["staircases"] = _draw_staircases(plt, [row for row in rows if is_counted(row)])
+        figures["staircases"] = _draw_staircases([row for row in rows if is_counted(row)])
     if experiment.confidence is not None:
-        figures["confidence"] = _draw_confidence(plt, experiment, groups)
+        figures["confidence"] = _draw_confidence(experiment, groups)
     ratings = [row for row in table if not np.isnan(row["mean"])]
     if ratings:
-        figures["surveys"] = _draw_surveys(plt, experiment, ratings)
+        figures["surveys"] = _draw_surveys(experiment, ratings)
     return _save(figures, out)
 
 
-def _draw_staircases(plt: Any, rows: Sequence[Entry]) -> Any:
+def _draw_staircases(rows: Sequence[Entry]) -> Any:
     """Draw the levels of each staircase, a panel for each participant and condition."""
     panels = dict[tuple[str, str], list[Entry]]()
     for row in rows:
         panels.setdefault((row["participant"], row["condition"]), []).append(row)
     width = min(len(panels), 4)
     height = -(-len(panels) // width)
-    figure, grid = plt.subplots(
-        height, width, figsize=(3.0 * width, 2.6 * height), squeeze=False, sharey=True, layout="constrained"
-    )
+    figure = make_figure(3.0 * width, 2.6 * height)
+    grid = figure.subplots(height, width, squeeze=False, sharey=True)
     for axes in grid.flat[len(panels) :]:
         axes.remove()
     for axes, ((participant, condition), group_rows) in zip(grid.flat, panels.items(), strict=False):
@@ -117,10 +104,11 @@ def _draw_staircases(plt: Any, rows: Sequence[Entry]) -> Any:
     return figure
 
 
-def _draw_confidence(plt: Any, experiment: ExperimentFile, groups: Sequence[Group]) -> Any:
+def _draw_confidence(experiment: ExperimentFile, groups: Sequence[Group]) -> Any:
     """Draw the share of right answers at each mark of confidence, by condition."""
     assert experiment.confidence is not None
-    figure, axes = plt.subplots(figsize=(5, 3.6), layout="constrained")
+    figure = make_figure(5.0, 3.6)
+    axes = figure.subplots()
     for group in groups:
         if group.participant != groups[-1].participant:
             continue
@@ -140,14 +128,12 @@ def _draw_confidence(plt: Any, experiment: ExperimentFile, groups: Sequence[Grou
     return figure
 
 
-def _draw_surveys(plt: Any, experiment: ExperimentFile, ratings: Sequence[Entry]) -> Any:
+def _draw_surveys(experiment: ExperimentFile, ratings: Sequence[Entry]) -> Any:
     """Draw mean and standard deviation of each numeric question, by condition; a panel for each survey."""
     surveys = list(dict.fromkeys(row["survey"] for row in ratings))
     counts = [len({row["question"] for row in ratings if row["survey"] == survey}) for survey in surveys]
-    figure, grid = plt.subplots(
-        1, len(surveys), figsize=(2.0 + 1.1 * sum(counts), 3.6), squeeze=False, layout="constrained",
-        width_ratios=[count + 1 for count in counts],
-    )  # fmt: skip
+    figure = make_figure(2.0 + 1.1 * sum(counts), 3.6)
+    grid = figure.subplots(1, len(surveys), squeeze=False, width_ratios=[count + 1 for count in counts])
     for axes, survey in zip(grid.flat, surveys, strict=True):
         group_rows = [row for row in ratings if row["survey"] == survey]
         questions = list(dict.fromkeys(row["question"] for row in group_rows))
@@ -238,23 +224,18 @@ def _draw_means(axes: Axes, groups: Sequence[Group], name: str) -> None:
 
 
 def _save(figures: Mapping[str, Any], out: Path) -> list[Path]:
-    """Write figures by the name of their file, as PNG and SVG, and close them; return the files."""
-    import matplotlib.pyplot as plt  # after `draw`, which has chosen the backend
-
+    """Write figures by the name of their file, in all FORMATS; return the files."""
     paths = []
     with (
-        show_progress("drawing", len(SUFFIXES) * len(figures)) as update,
+        show_progress("drawing", len(FORMATS) * len(figures)) as update,
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
         for name, figure in figures.items():
-            for suffix in SUFFIXES:
-                paths.append((out / name).with_suffix(f".{suffix}"))
-                with write_new_file(paths[-1]) as file:
-                    metadata = {"Date": None} if suffix == "svg" else None
-                    figure.savefig(file, format=suffix, dpi=150, metadata=metadata)
+            for suffix in FORMATS:
+                paths.append((out / name).with_suffix(suffix))
+                save(figure, paths[-1])
                 update(len(paths))
-            plt.close(figure)
     _report_warnings(caught)
     return paths
 

@@ -1,8 +1,7 @@
-"""Protocols of the apparatus that presents stimuli and of the source of answers, and the data exchanged with them."""
+"""What a session exchanges with the presenter of its stimuli and with its source of answers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
 from softfinger.server.experiment.schema_parts import Question
@@ -53,31 +52,10 @@ class Progress(NamedTuple):
 
 
 class TouchResult(NamedTuple):
-    """Result of a touch: numbers for the table of trials, and every tick."""
+    """Result of a touch: numbers for the table of trials, and every tick; both empty without a daemon."""
 
     summary: dict[str, Any]
     ticks: list[dict[str, Any]]
-
-
-class Apparatus(Protocol):
-    """Presents stimuli."""
-
-    def touch(self, stimulus: Stimulus) -> TouchResult:
-        """Present a stimulus, from zero force to zero force."""
-
-
-class NullApparatus:
-    """No apparatus: only design, answers, journal and tables, as fast as possible.
-
-    on_trial  receives the number of the trial
-    """
-
-    def __init__(self, on_trial: Callable[[int], None] = lambda trial: None) -> None:
-        self._on_trial = on_trial
-
-    def touch(self, stimulus: Stimulus) -> TouchResult:
-        self._on_trial(stimulus.trial)
-        return TouchResult({}, [])
 
 
 class Response(NamedTuple):

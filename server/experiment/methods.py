@@ -30,7 +30,7 @@ def write_methods(
         _describe_apparatus(experiment, starts),
         _describe_task(experiment),
         _describe_procedure(experiment),
-        _design(experiment),
+        _describe_design(experiment),
         _describe_surveys(experiment, answers),
         _describe_analysis(experiment),
     ]
@@ -122,7 +122,7 @@ def _describe_procedure(experiment: ExperimentFile) -> list[str]:
     return text
 
 
-def _design(experiment: ExperimentFile) -> list[str]:
+def _describe_design(experiment: ExperimentFile) -> list[str]:
     design, trials = experiment.design, plan_trials(experiment, 1)
     text = []
     if experiment.factor:

@@ -72,7 +72,7 @@ def write_report(
     """
     excluded = find_excluded_participants(experiment, rows)
     sections: dict[str, Callable[[], str]] = {
-        "Design": lambda: _design(experiment),
+        "Design": lambda: _report_design(experiment),
         "Participants and exclusions": lambda: _report_exclusions(experiment, rows, excluded, root),
         "Estimates": lambda: _report_estimates(experiment, groups, excluded),
         "Models with and without a factor": lambda: _report_models(experiment, rows, excluded),
@@ -92,7 +92,7 @@ def write_report(
     return PAGE.format(title=html.escape(experiment.title), style=STYLE, body=body)
 
 
-def _design(experiment: ExperimentFile) -> str:
+def _report_design(experiment: ExperimentFile) -> str:
     task, procedure, design = experiment.task, experiment.procedure, experiment.design
     levels = procedure.levels or procedure.starts or (procedure.start,)
     facts = {

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from softfinger.config.errors import HapticError
 from softfinger.server.experiment.folder import ParticipantFolder
-from softfinger.server.experiment.interfaces import AnswerSource, Apparatus, Progress, Response, Stimulus
+from softfinger.server.experiment.interfaces import AnswerSource, Progress, Response, Stimulus, TouchResult
 from softfinger.server.experiment.journal import Entry, MemoryJournal
 from softfinger.server.experiment.procedures import make_procedures
 from softfinger.server.experiment.schema import ExperimentFile
@@ -52,11 +52,14 @@ class Session:
     def run(
         self,
         journal: MemoryJournal,
-        apparatus: Apparatus,
+        present: Callable[[Stimulus], TouchResult],
         answers: AnswerSource,
         folder: ParticipantFolder | None = None,
     ) -> None:
-        """Run the trials without an answer in the journal; the procedures first receive the earlier answers."""
+        """Run the trials without an answer in the journal; the procedures first receive the earlier answers.
+
+        present  presents a stimulus, from zero force to zero force
+        """
         answered = {entry["trial"]: entry for entry in journal.entries_of("done")}
         started = [entry["trial"] for entry in journal.entries_of("begun")]
         for trial in self.trials:
@@ -70,7 +73,7 @@ class Session:
             if attempt == 1:
                 self._pause_if_due(trial, answers)
             journal.write("begun", trial=trial.number, attempt=attempt)
-            entry, ticks = self._run_trial(trial, attempt, apparatus, answers)
+            entry, ticks = self._run_trial(trial, attempt, present, answers)
             if folder is not None and ticks:
                 folder.ticks(trial.number, attempt, ticks)
             journal.write("done", **entry)
@@ -105,7 +108,7 @@ class Session:
             answers.pause(trial.number - 1, len(self.trials))
 
     def _run_trial(
-        self, trial: PlannedTrial, attempt: int, apparatus: Apparatus, answers: AnswerSource
+        self, trial: PlannedTrial, attempt: int, present: Callable[[Stimulus], TouchResult], answers: AnswerSource
     ) -> tuple[Entry, list[dict[str, Any]]]:
         condition, task = self.conditions[trial.condition], self.experiment.task
         level = trial.level
@@ -120,7 +123,7 @@ class Session:
             self._report(f"{progress.title}{f': {progress.text}' if progress.text else ''}")
             answers.prepare(progress, condition)
             changes = condition.changes | list_parameters(self.experiment, value)
-            results.append(apparatus.touch(Stimulus(trial.number, touch, condition.scene, changes)))
+            results.append(present(Stimulus(trial.number, touch, condition.scene, changes)))
         test = results[0 if trial.test_first or len(results) == 1 else 1]
         answer, after_s = answers.answer(trial, condition, level, test)
         entry = {

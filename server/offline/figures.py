@@ -9,6 +9,7 @@ from argparse import ArgumentTypeError
 from pathlib import Path
 from typing import Any, Final
 
+from softfinger.config.errors import ConfigError
 from softfinger.config.files import write_new_file
 
 FORMATS: Final = (".png", ".svg")
@@ -34,8 +35,11 @@ def plot_file(text: str) -> Path:
 
 
 def make_figure(width: float = 8.0, height: float = 4.5) -> Any:
-    from matplotlib.figure import Figure
-
+    """Return an empty figure of this size in inches; raises ConfigError without matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ConfigError(f"figures need matplotlib ({error}): pip install 'softfinger[plots]'") from error
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -53,7 +57,7 @@ def save(drawing: Any, path: Path) -> None:
     """
     if path.suffix != ".svg":
         with write_new_file(path) as file:
-            drawing.savefig(file, format=path.suffix[1:])
+            drawing.savefig(file, format=path.suffix[1:], dpi=150)
         return
     from matplotlib import rc_context
 

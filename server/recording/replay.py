@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
-import io
 import json
 from pathlib import Path
 from typing import Any, Final
@@ -20,7 +18,8 @@ from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.poses import find_recording, load_poses
 from softfinger.drivers.resample import resample
 from softfinger.drivers.wrench_log import FORCE_COLUMNS
-from softfinger.proxy.record import NAMED
+from softfinger.proxy.record import RECORD_SIZE
+from softfinger.proxy.records import Records
 from softfinger.server.offline.figures import make_figure, save
 from softfinger.server.recording.compare import (
     COMPARED_FIELDS,
@@ -96,10 +95,13 @@ def _run_from_poses(name: str, rate_hz: float) -> Run:
     """Return poses as a run that starts at tick 0."""
     poses = resample(load_poses(name), rate_hz)
     count = len(poses)
-    fields = {key: np.zeros((count, NAMED[key].size)).squeeze(axis=1) if NAMED[key].size == 1
-              else np.zeros((count, NAMED[key].size)) for key in READ_FIELDS}  # fmt: skip
-    fields |= {"tick": np.arange(count, dtype=np.float64), "dt": np.full(count, round(1e9 / rate_hz) / 1e9)}
-    fields |= {"probe.position": poses[:, :3], "probe.orientation": poses[:, 3:]}
+    zeros = Records(np.zeros((count, RECORD_SIZE)))
+    fields = {key: zeros[key] for key in READ_FIELDS} | {
+        "tick": np.arange(count, dtype=np.float64),
+        "dt": np.full(count, round(1e9 / rate_hz) / 1e9),
+        "probe.position": poses[:, :3],
+        "probe.orientation": poses[:, 3:],
+    }
     return Run({"": fields}, {"rate_hz": rate_hz}, [], "")
 
 
@@ -115,9 +117,8 @@ def _from_file(path: Path, past: Run) -> Against:
         if forces is not None:
             numbers, values_by_key = forces
         else:
-            rows = read_results(path, finger)
-            numbers = rows[:, NAMED["tick"].at]
-            values_by_key = {key: rows[:, NAMED[key].at : NAMED[key].at + NAMED[key].size] for key in COMPARED_FIELDS}
+            rows = Records(read_results(path, finger))
+            numbers, values_by_key = rows["tick"], {key: rows[key] for key in COMPARED_FIELDS}
         missing = ~np.isin(fields["tick"], numbers)
         if missing.any():
             raise RecordingError(
@@ -140,13 +141,12 @@ def _read_forces(path: Path) -> tuple[Array, dict[str, Array]] | None:
                 reads = archive["read"].astype(np.float64)
                 wrenches = np.column_stack([archive["force"], archive["torque"]])
         elif path.suffix.lower() == ".csv":
+            header = ",".join(FORCE_COLUMNS)
             with open_input(path) as file:
-                if file.readline(len(",".join(FORCE_COLUMNS)) + 2).decode("ascii", "replace").strip() != ",".join(
-                    FORCE_COLUMNS
-                ):
+                if file.readline(len(header) + 2).decode("ascii", "replace").strip() != header:
                     return None
-            lines = csv.reader(io.StringIO(read_input(path, FORCES_BYTES_MAX).decode("ascii")))
-            table = np.array([[float(cell) for cell in line] for line in list(lines)[1:]])
+            lines = read_input(path, FORCES_BYTES_MAX).decode("ascii").splitlines()
+            table = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
             reads, wrenches = table[:, 0], table[:, 1:7]
         else:
             return None

@@ -12,9 +12,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from softfinger.config.arrays import Array
+from softfinger.drivers.quaternions import conjugate, multiply
 from softfinger.proxy.record import AT
 from softfinger.server.viewer.inputs import Nudge, is_in_list, is_on_slider
-from softfinger.server.viewer.nodes.glyphs import invert, multiply
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import (
     Target,
@@ -144,10 +144,10 @@ class HandControls:
 
         They show the target of a finger that this page moves, and the pose of other fingers.
         """
-        at = AT.probe_orientation
-        w, x, y, z = row[at : at + 4].tolist()
         first = finger not in self._poses
-        self._poses[finger] = Target(row[AT.probe_position : AT.probe_position + 3], (w, x, y, z))
+        self._poses[finger] = Target(
+            row[AT.probe_position : AT.probe_position + 3], row[AT.probe_orientation : AT.probe_orientation + 4]
+        )
         now = time.monotonic()
         if first or (
             finger == self._find_chosen_finger()
@@ -276,7 +276,7 @@ class HandControls:
         if target is not None:
             self.send_target(finger, target)
             displacement = target.position - start.position
-            rotation = multiply(target.orientation, invert(start.orientation))
+            rotation = multiply(target.orientation, conjugate(start.orientation))
             for follower in starts.keys() & self._fingers.keys() - {finger}:
                 position, orientation = starts[follower]
                 motion = mirror_motion(displacement, position - start.position) if mode == "pinch" else displacement
@@ -309,8 +309,7 @@ class HandControls:
         if event.client is not None and self._fingers:
             self.on_interrupt()
             self._control_used_s = time.monotonic()
-            w, x, y, z = (float(part) for part in self._gizmo.wxyz)
-            pose = Target(np.array(self._gizmo.position) / CM, (w, x, y, z))
+            pose = Target(np.array(self._gizmo.position) / CM, np.array(self._gizmo.wxyz))
             self.hold_then(partial(self._apply_control, "handles", pose, self._update_sliders))
 
     def _release(self) -> None:

@@ -220,14 +220,14 @@ class LivePage:
         if target is None:
             params["release"] = True
         else:
-            params["position_m"] = [float(x) for x in target.position]
+            params["position_m"] = target.position.tolist()
             if finger in self._orientable_fingers:  # other devices refuse an orientation
-                params["orientation_wxyz"] = list(target.orientation)
+                params["orientation_wxyz"] = target.orientation.tolist()
         self._send(f"hand {finger}", "hand", params)
 
     def _hold_hand(self, finger: str, on_pose: Callable[[Target], None], on_failure: Callable[[], None]) -> None:
         def on_hold(answer: HandPose) -> None:
-            on_pose(Target(np.array(answer.position_m), answer.orientation_wxyz))
+            on_pose(Target(np.array(answer.position_m), np.array(answer.orientation_wxyz)))
 
         def on_refused(text: str) -> None:
             on_failure()

@@ -8,19 +8,19 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from softfinger.config.arrays import Array
+from softfinger.drivers.quaternions import exp, multiply
 from softfinger.server.viewer.inputs import Nudge
 from softfinger.server.viewer.nodes.below import UP
-from softfinger.server.viewer.nodes.glyphs import IDENTITY, Quaternion, multiply, rotate_about
 
 MIN_VIEW_SINE: Final = 0.05
 """Minimum sine of the angle between view ray and plane; below it, one pixel would be a long distance."""
 
 
 class Target(NamedTuple):
-    """Target of a hand: position (3,) m and orientation."""
+    """Target of a hand: position (3,) m and orientation (4,)."""
 
     position: Array
-    orientation: Quaternion
+    orientation: Array
 
 
 def intersect_plane(eye: Array, through: Array, point: Array, normal: Array) -> Array | None:
@@ -53,21 +53,14 @@ def drag_target(start: Target, eye: Array, grabbed: Array, pointer: Array, mode:
     displacement = (hit_point - grabbed) * (1.0, 1.0, 0.0)
     if mode == "move":
         return Target(start.position + displacement, start.orientation)
-    return Target(
-        start.position + displacement, multiply(compute_rolling_rotation(displacement, radius), start.orientation)
-    )
-
-
-def compute_rolling_rotation(displacement: Array, radius: float) -> Quaternion:
-    """Return the rotation of a ball that rolls horizontally by `displacement` (3,) m; the identity for zero."""
-    length = float(np.linalg.norm(displacement))
-    return IDENTITY if length == 0.0 else rotate_about(np.cross(UP, displacement), length / radius)
+    roll = exp(np.cross(UP, displacement) / radius)
+    return Target(start.position + displacement, multiply(roll, start.orientation))
 
 
 def nudge_target(start: Target, nudge: Nudge, radius: float) -> Target:
     """Return the target moved by an increment; a ball of `radius` (m) for rolling."""
     roll = np.array([nudge.roll_x, nudge.roll_y, 0.0])
-    rotation = multiply(rotate_about(UP, nudge.spin), compute_rolling_rotation(roll, radius))
+    rotation = multiply(exp(nudge.spin * UP), exp(np.cross(UP, roll) / radius))
     return Target(start.position + roll + (nudge.x, nudge.y, nudge.z), multiply(rotation, start.orientation))
 
 
@@ -84,13 +77,13 @@ def move_towards(position: Array, centre: Array, distance_m: float) -> Array:
     return position if remaining == 0.0 else position + min(distance_m, remaining) / remaining * offset
 
 
-def from_angles(roll_x: float, roll_y: float, spin: float) -> Quaternion:
-    """Return the rotation about the world axes x, then y, then z; rad."""
-    x, y, z = np.eye(3)
-    return multiply(rotate_about(z, spin), multiply(rotate_about(y, roll_y), rotate_about(x, roll_x)))
+def from_angles(roll_x: float, roll_y: float, spin: float) -> Array:
+    """Return the rotation (4,) about the world axes x, then y, then z; rad."""
+    x, y, z = exp(np.diag((roll_x, roll_y, spin)))
+    return multiply(z, multiply(y, x))
 
 
-def to_angles(q: Quaternion) -> tuple[float, float, float]:
+def to_angles(q: Array) -> tuple[float, float, float]:
     """Return the angles of `from_angles`, rad."""
     w, x, y, z = q
     return (

@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from helpers import meshes
 from helpers.meshes import Mesh
 from softfinger.tools.accuracy.meshes import triangulate_grid
-from softfinger.tools.elastic_scenes import make_box
 
 Array = NDArray[np.float64]
 
 
 def bar(x: float, y: float, z: float) -> Mesh:
     """Return the twelve triangles of a box with these half extents, m, wound outward."""
-    return meshes.made(make_box((-x, -y, -z), (x, y, z)))
+    corners = np.array([(a, b, c) for a in (-x, x) for b in (-y, y) for c in (-z, z)])
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return meshes.made((corners, np.array([half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))])))
 
 
 def messy_ball(frequency: int = 12, radius: float = 0.05) -> Mesh:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from softfinger.config.load import describe, load_scene
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.bridges import foxglove
+from softfinger.server.bridges.rerun import RerunSink
 from softfinger.server.recording import picture
 from softfinger.server.recording.reader import RecordedWorld, read_contents
 from softfinger.server.recording.schemas import FRAME, SCENE, TICK, make_message_class
@@ -229,6 +231,15 @@ def test_bodies_are_recorded_and_their_objects_drawn_in_their_frames(tmp_path: P
     assert (frames["body/box"].parent_frame_id, frames["body/box"].translation.z) == ("world", 0.12)
     assert (frames["body/box"].rotation.w, frames["body/box"].rotation.z) == (0.0, 1.0)
     assert (entities["box"], entities["floor"]) == ("body/box", "world")
+
+
+def test_rerun_draws_a_height_map_as_triangles(monkeypatch: pytest.MonkeyPatch) -> None:
+    library = Mock()
+    monkeypatch.setitem(sys.modules, "rerun", library)
+    RerunSink(Mock(), [], load_scene("heightmap"))
+    drawn = library.Mesh3D.call_args.kwargs
+    points, triangles = np.array(drawn["vertex_positions"]), drawn["triangle_indices"]
+    assert points.shape[1] == 3 and triangles.shape[1] == 3 and np.unique(triangles).tolist() == [*range(len(points))]
 
 
 def test_rerun_moves_objects_with_their_body(tmp_path: Path) -> None:

@@ -72,10 +72,8 @@ def test_a_torn_parameter_set_is_detected() -> None:
 
 @pytest.mark.real_time
 def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No viewers at all are no measurement, and pages need a Chromium."""
     monkeypatch.setenv("PATH", "/nowhere")
     assert main(["bench", "view", "--browsers", "1"]) == ConfigError.exit_code
-    assert main(["bench", "view", "--viewers", "0"]) == ConfigError.exit_code
 
 
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:

@@ -79,7 +79,7 @@ def test_judge_detects_wrongly_accepted_and_refused_poses():
     assert extremes.judge(good._replace(refused=True), sound_records()).wrong == "a broken pose taken"
 
 
-@pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.list_cases()])
+@pytest.mark.parametrize("wrenches_of", [case.given for case in wrenches.iter_cases()])
 def test_the_guard_limits_arbitrary_wrenches(wrenches_of):
     (wrong,) = [wrong for wrenches_tried, _, _, _, wrong in wrenches.try_wrenches() if wrenches_tried == wrenches_of]
     assert wrong == ""

@@ -27,11 +27,11 @@ from softfinger.tools.accuracy.cases import (
 from softfinger.tools.accuracy.reference import roll_path
 from softfinger.tools.bench.step import measure_reference_ns
 from softfinger.tools.measure import Array
+from softfinger.tools.options import DRIFT_BLOCK
 
 BLOCK_STEPS: Final = 1000
 """Smallest number of steps between two readings of the clock, which then cost less than 0.1 ns per step."""
 DRIFT_STEP_RAD: Final = 0.01
-DRIFT_BLOCK: Final = 1000
 
 
 @entry

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config import schema
-from softfinger.config.errors import ConfigError
 from softfinger.config.load import build
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.kernels import model
@@ -246,10 +245,6 @@ def make_scene(table: dict[str, Any], sticks: bool) -> schema.Scene:
 
 def save_mesh(folder: Path, vertices: Array, triangles: NDArray[np.int64]) -> str:
     """Write an OBJ file with all digits of the numbers, and return its path."""
-    try:
-        import trimesh  # noqa: F401
-    except ImportError as error:
-        raise ConfigError(f"accuracy --meshes needs trimesh: pip install 'softfinger[mesh]' ({error})") from error
     path = folder / "surface.obj"
     rows = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     path.write_text("\n".join([*rows, *(f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist())]) + "\n")

@@ -88,20 +88,20 @@ def time_ticks(
 
 
 def run(args: argparse.Namespace) -> int:
-    scene, blocks = load_scene(args.scene), max(args.blocks, 1)
+    scene = load_scene(args.scene)
     if len(scene.fingers) > 1:
         raise ConfigError(
             f"--scene {args.scene}: the simulation moves one finger, but this scene has several: choose another scene"
         )
     tuning = make_tuning(scene, load_rig("replay").guard)
-    radius, blocks_of_turn = scene.fingers[0].radius_m, max(blocks // ROUNDS, 1)
+    radius, blocks_of_turn = scene.fingers[0].radius_m, max(args.blocks // ROUNDS, 1)
     turns = map_with_progress(
         "measuring the closed loop",
         lambda _: [measure(tuning, radius, handle, blocks_of_turn) for handle in HANDLES.values()],
         range(ROUNDS),
     )
     rows = [{"plant": name} | summarize(of) for name, *of in zip(HANDLES, *turns, strict=True)]
-    result = {"scene": args.scene, "ticks": TICKS * blocks, "plants": rows}
+    result = {"scene": args.scene, "ticks": TICKS * args.blocks, "plants": rows}
     lines = [f"closed loop on {args.scene}: contact step, guard and simulated device, in contact, one processor"]
     lines += [
         f"  {row['plant']:<26}{row['ns_per_tick']:8.1f} ns {row['ratio']:7.3f} of {row['reference_ns']:.0f} ns, "

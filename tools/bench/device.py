@@ -10,14 +10,13 @@ from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig
 from softfinger.config.schema.pairing import find_single_device
 from softfinger.drivers.registry import open_device
-from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, check_seconds, make_disarmed_guard
+from softfinger.tools.exchange import EMPTY_READ, EMPTY_WRITE, READ, WRITE, Exchange, make_disarmed_guard
 from softfinger.tools.exchange_figures import format_burst, format_table, summarize_burst, summarize_part
-from softfinger.tools.measure import Array, draw_exceedance, show_and_draw
+from softfinger.tools.measure import Array, draw_exceedance, format_realtime, show_and_draw
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print; returns the exit code. The device receives zero force only."""
-    check_seconds(args.seconds)
     rig = load_rig(args.rig)
     rate = rig.servo.rate_hz
     with (
@@ -38,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     lines = [f"exchange with {name} at {rate:g} Hz, {len(rows)} ticks", *format_table(result)]
     if len(burst):
         lines.append(format_burst(result["without_pauses"]))
-    lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
+    lines.append(format_realtime(result["realtime"]))
     return show_and_draw(args, result, lines, lambda path: draw(path, rows, f"{name} at {rate:g} Hz"))
 
 

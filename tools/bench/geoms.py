@@ -6,8 +6,6 @@ from itertools import islice, product
 from pathlib import Path
 from typing import Any, Final
 
-from softfinger.config.errors import ConfigError
-
 GEOMS_MAX: Final = 24
 """Largest number of geoms in a scene that fingers touch."""
 HALF_M: Final = 0.02
@@ -37,11 +35,8 @@ MODEL: Final = """
 def make_scene(count: int, rate_hz: float, folder: Path) -> dict[str, Any]:
     """Return a scene of `count` bodies of 100 g on a floor, touched by two fingers, with its model in `folder`.
 
-    The bodies are of four kinds. Their tops are at z = 0, at which the shipped recording presses and drags. Raises
-    ConfigError for a count out of range.
+    The bodies are of four kinds. Their tops are at z = 0, at which the shipped recording presses and drags.
     """
-    if not 1 <= count <= GEOMS_MAX:
-        raise ConfigError(f"command line --geoms: {count}: must be an integer from 1 to {GEOMS_MAX}")
     places = sorted(product(range(-2, 3), repeat=2), key=lambda at: at[0] ** 2 + at[1] ** 2)
     bodies = []
     for number, (x, y) in enumerate(islice(places, count)):

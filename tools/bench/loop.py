@@ -31,17 +31,19 @@ from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.progress import show_progress
 from softfinger.tools.bench.geoms import make_scene
 from softfinger.tools.measure import (
+    QUANTILES_HEAD,
     Array,
     compile_c,
     compute_quantiles,
     draw_exceedance,
-    format_microseconds,
+    format_quantiles,
+    format_realtime,
     show_and_draw,
 )
 
 TURN_S: Final = 5.0
 SOURCE: Final = Path(__file__).with_name("reference_loop.c")
-FIGURES: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
+MEASURED: Final = [AT.servo_late, AT.servo_exec, AT.servo_busy, AT.servo_missed]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -104,7 +106,7 @@ def run_servo(rig: Rig, scene: Scene, ticks: int, settings: list[realtime.Settin
             servo.records.wait()
             running = servo.is_running
             while (count := servo.records.take(batch)) > 0:
-                parts.append(batch[:count, FIGURES].copy())
+                parts.append(batch[:count, MEASURED].copy())
         ended = servo.join()
         servo.close()
     if ended is not None and ended.error is not None:
@@ -206,15 +208,12 @@ def format_table(result: dict[str, Any]) -> list[str]:
         f"servo loop at {result['rate_hz']:g} Hz, {result['scene']}, us; in brackets the median over blocks of 1 s",
         "  late: wake-up after the deadline; exec: until the device write returned; busy: until it slept again",
     ]
-    lines.append(f"  {'':<11}{'':<6}" + "".join(f"{name:>22}" for name in ("p50", "p99", "p999", "max")))
+    lines.append(f"  {'':<17}{QUANTILES_HEAD}")
     for loop in ("c", "servo", "servo_busy"):
         for quantity in ("late", "exec", "busy"):
             cost = result.get(loop, {}).get(quantity)
             if cost is not None:
-                cells = (
-                    f"{format_microseconds(cost[q])} ({format_microseconds(cost['blocks'][q])})" for q in cost["blocks"]
-                )
-                lines.append(f"  {loop:<11}{quantity:<6}" + "".join(f"{cell:>22}" for cell in cells))
+                lines.append(f"  {loop:<11}{quantity:<6}{format_quantiles(cost)}")
     lines += [
         f"  {loop}: {result[loop]['missed']} deadlines missed in {result[loop]['ticks']} ticks"
         for loop in ("c", "servo", "servo_busy")
@@ -225,7 +224,7 @@ def format_table(result: dict[str, Any]) -> list[str]:
             lines.append(f"  lateness, {text}: p50 {result[key]['p50']:.2f}, p99 {result[key]['p99']:.2f} (blocks)")
     if "c" not in result:
         lines.append("  no C compiler here, so no reference: install gcc for one")
-    lines.append("  real time: " + ", ".join(f"{k} {'yes' if v else 'no'}" for k, v in result["realtime"].items()))
+    lines.append(format_realtime(result["realtime"]))
     return lines
 
 

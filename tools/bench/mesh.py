@@ -39,14 +39,6 @@ CHECKED_POINTS: Final = 20
 
 
 def run(args: argparse.Namespace) -> int:
-    if not all(1 <= level <= 9 for level in args.levels):
-        raise ConfigError(f"--levels {' '.join(map(str, args.levels))}: 1 to 9 are possible")
-    for option, ticks in (("--ticks", args.ticks), ("--paced", args.paced)):
-        if ticks < BLOCK:
-            raise ConfigError(f"{option} {ticks}: must be at least {BLOCK}")
-    for radius in args.fingertip:
-        if not 0.0005 <= radius <= 0.03:
-            raise ConfigError(f"--fingertip {radius:g}: must be from 0.0005 to 0.03 m")
     cases = [(level, bumpy, r) for level in args.levels for bumpy in (False, True) for r in args.fingertip]
     rows: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder, show_progress("measuring meshes", len(cases)) as advance:

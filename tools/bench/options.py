@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from softfinger.server.arguments import add_flag, add_option, at_least
+from softfinger.server.arguments import add_flag, add_option, within
 from softfinger.tools.bench.geoms import GEOMS_MAX
-from softfinger.tools.options import add_output_options
+from softfinger.tools.options import SECONDS, add_output_options
 
 
 def configure_step(parser: argparse.ArgumentParser) -> None:
@@ -24,30 +24,32 @@ def configure_step(parser: argparse.ArgumentParser) -> None:
         help="also measure the added cost of each feature of the scene format, or of those that match PATTERN, such as "
         "'torsion*'. Each compiles one or two scenes (2 to 5 s); all take about three minutes the first time",
     )
-    add_option(parser, "--blocks", "timed blocks of steps", default=2000, type=at_least(1))
+    add_option(parser, "--blocks", "timed blocks of steps", default=2000, type=within(1))
 
 
 def configure_closed_loop(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--scene", "scene whose first surface is at z = 0", default="frictionless-plane")
-    add_option(parser, "--blocks", "timed blocks of ticks", default=1000, type=at_least(1))
+    add_option(parser, "--blocks", "timed blocks of ticks", default=1000, type=within(1))
 
 
 def configure_simulate(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--scene", "scene of one finger", default="paper-plane")
     add_option(parser, "--poses", "recording to repeat", default="press-roll-spin-drag", metavar="P")
-    add_option(parser, "--ticks", "number of ticks; a file of 600000 has up to 0.9 GB", default=600_000)
-    add_option(parser, "--rounds", "repetitions for each format", default=5, type=at_least(1))
+    add_option(
+        parser, "--ticks", "number of ticks; a file of 600000 has up to 0.9 GB", default=600_000, type=within(1000)
+    )
+    add_option(parser, "--rounds", "repetitions for each format", default=5, type=within(1))
     parser.add_argument("--folder", type=Path, help="folder for temporary files (default: that of the system)")
 
 
 def configure_loop(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--seconds", "duration of each loop", default=15.0, type=at_least(0.1))
+    add_option(parser, "--seconds", "duration of each loop", default=15.0, type=within(0.1))
     add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
     scene = parser.add_mutually_exclusive_group()
     add_option(scene, "--scene", "scene file or name", default="paper-plane")
     scene.add_argument(
         "--geoms",
-        type=int,
+        type=within(1, GEOMS_MAX),
         metavar="N",
         help=f"use N bodies with one geom each on a floor and two fingers instead, up to {GEOMS_MAX}",
     )
@@ -56,38 +58,46 @@ def configure_loop(parser: argparse.ArgumentParser) -> None:
 
 def configure_device(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--rig", "rig file or the name of a shipped one", default="replay")
-    add_option(parser, "--seconds", "duration at the rate of the rig", default=5.0)
+    add_option(parser, "--seconds", "duration at the rate of the rig", default=5.0, type=within(*SECONDS))
 
 
 def configure_commands(parser: argparse.ArgumentParser) -> None:
     add_option(parser, "--rate", "set_params per second", default=200.0, metavar="HZ")
-    add_option(parser, "--seconds", "duration with commands, and again without", default=60.0, type=at_least(0.1))
-    add_option(parser, "--swaps", "number of set_scene commands", default=100, type=at_least(1))
+    add_option(parser, "--seconds", "duration with commands, and again without", default=60.0, type=within(0.1))
+    add_option(parser, "--swaps", "number of set_scene commands", default=100, type=within(1))
 
 
 def configure_mesh(parser: argparse.ArgumentParser) -> None:
     levels = "balls of 20 x 4^N triangles, N from 1 to 9 (4: 5 120, 7: 327 680, 9: 5.2 million; default: 4 6 7)"
-    parser.add_argument("--levels", type=int, nargs="+", default=[4, 6, 7], metavar="N", help=levels)
-    add_option(parser, "--fingertip", "radii of the fingertip", default=[0.01], type=float, nargs="+", metavar="M")
-    add_option(parser, "--ticks", "ticks without a pause", default=20_000)
-    add_option(parser, "--paced", "ticks at 1 kHz", default=2_000)
+    parser.add_argument("--levels", type=within(1, 9), nargs="+", default=[4, 6, 7], metavar="N", help=levels)
+    add_option(
+        parser,
+        "--fingertip",
+        "radii of the fingertip",
+        default=[0.01],
+        type=within(0.0005, 0.03),
+        nargs="+",
+        metavar="M",
+    )
+    add_option(parser, "--ticks", "ticks without a pause", default=20_000, type=within(1000))
+    add_option(parser, "--paced", "ticks at 1 kHz", default=2_000, type=within(1000))
 
 
 def configure_view(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--viewers", "number of simultaneous viewers", default=10, metavar="N")
-    add_option(parser, "--browsers", "number of simultaneous pages in Chromium", default=0, metavar="N")
+    add_option(parser, "--viewers", "number of simultaneous viewers", default=10, type=within(1), metavar="N")
+    add_option(parser, "--browsers", "number of simultaneous pages in Chromium", default=0, type=within(0), metavar="N")
     add_option(parser, "--seconds", "duration of each measurement", default=20.0)
     add_option(parser, "--rig", "rig file or name", default="simulated")
 
 
 def configure_soak(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--minutes", "duration", default=10.0, metavar="N")
+    add_option(parser, "--minutes", "duration", default=10.0, type=within(0.1, 10_000.0), metavar="N")
     add_option(parser, "--realtime", "real-time settings: auto, require or off", default="auto")
 
 
 def configure_telemetry(parser: argparse.ArgumentParser) -> None:
-    add_option(parser, "--subscribers", "number of subscribing processes", default=8, type=at_least(1))
-    add_option(parser, "--seconds", "duration of each measurement", default=10.0, type=at_least(0.1))
+    add_option(parser, "--subscribers", "number of subscribing processes", default=8, type=within(1))
+    add_option(parser, "--seconds", "duration of each measurement", default=10.0, type=within(0.1))
     add_option(parser, "--rate", "ticks per second", default=1000.0, metavar="HZ")
     add_flag(parser, "--forward", "also measure through `softfinger forward`")
     add_flag(parser, "--keys", "with --forward: use CURVE keys")

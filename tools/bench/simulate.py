@@ -14,27 +14,23 @@ from typing import Any, Final
 import numpy as np
 
 from softfinger.config.errors import ConfigError
-from softfinger.drivers.poses import POSE_COLUMNS, load_poses
+from softfinger.drivers.poses import Poses, load_poses
 from softfinger.drivers.resample import close_loop, resample
 from softfinger.server.progress import show_progress
-from softfinger.server.recording.results import SUFFIXES, write_csv_rows
-from softfinger.tools.measure import Array, draw_bars, show_and_draw
+from softfinger.server.recording.results import SUFFIXES
+from softfinger.server.recording.tables import write_poses
+from softfinger.tools.measure import draw_bars, show_and_draw
 
 RATE_HZ: Final = 1000.0
-TICKS_MIN: Final = 1000
 
 
 def run(args: argparse.Namespace) -> int:
-    ticks, rounds = args.ticks, max(args.rounds, 1)
-    if ticks < TICKS_MIN:
-        raise ConfigError(f"--ticks {ticks}: too few to measure: use {TICKS_MIN} or more")
+    ticks, rounds = args.ticks, args.rounds
     durations: dict[str, list[tuple[float, float]]] = {ending: [] for ending in SUFFIXES}
     with tempfile.TemporaryDirectory(dir=args.folder) as folder:
         poses = Path(folder, "poses.csv")
         with show_progress("first run, which compiles kernels that are not cached"):
-            with poses.open("wb") as file:
-                file.write(",".join(POSE_COLUMNS).encode() + b"\n")
-                write_csv_rows(file, load_motion(args.poses, ticks))
+            write_poses(poses, load_motion(args.poses, ticks))
             simulate(args.scene, poses, Path(folder, "warm.npz"))
         with show_progress("simulating", rounds * len(SUFFIXES)) as advance:
             for turn in range(rounds):
@@ -55,10 +51,11 @@ def run(args: argparse.Namespace) -> int:
     return show_and_draw(args, result, lines, lambda path: draw_bars(path, speeds, "times real time"))
 
 
-def load_motion(recording: str, ticks: int) -> Array:
-    """Return the recording as a loop: (ticks, 8), times and poses."""
+def load_motion(recording: str, ticks: int) -> Poses:
+    """Return the recording as a loop of `ticks` poses."""
     once = close_loop(resample(load_poses(recording), RATE_HZ), RATE_HZ)
-    return np.column_stack((np.arange(ticks) / RATE_HZ, np.resize(once, (ticks, once.shape[1]))))
+    rows = np.resize(once, (ticks, once.shape[1]))
+    return Poses(np.arange(ticks) / RATE_HZ, rows[:, :3], rows[:, 3:])
 
 
 def simulate(scene: str, poses: Path, out: Path) -> tuple[float, float]:

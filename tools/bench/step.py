@@ -53,15 +53,14 @@ def measure_reference_ns() -> float:
 def run(args: argparse.Namespace) -> int:
     chosen = [] if args.features is None else select(list(iter_features()), args.features)
     names = list_shipped(Scene) if args.all else args.scene
-    blocks = max(args.blocks, 1)
     scenes = map_with_progress(
         "measuring the contact step",
-        lambda name: {"scene": name, "variants": list_variants(name, load_scene(name), blocks)},
+        lambda name: {"scene": name, "variants": list_variants(name, load_scene(name), args.blocks)},
         names,
     )
-    result = {"steps": BLOCK * blocks, "scenes": scenes} | (scenes[0] if scenes else {})
+    result = {"steps": BLOCK * args.blocks, "scenes": scenes} | (scenes[0] if scenes else {})
     if chosen:
-        cost = partial(measure_cost, blocks=blocks)
+        cost = partial(measure_cost, blocks=args.blocks)
         result["features"] = map_with_progress("measuring features", cost, chosen)
     return show_and_draw(args, result, format_table(result), lambda path: draw(result, path))
 

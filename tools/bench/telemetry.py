@@ -244,7 +244,7 @@ def receive(endpoint: str, seconds: float, path: str, *keys: str) -> None:
         while time.monotonic() < end:
             _, body = socket.recv_multipart()
             arrivals.append((time.time(), body))
-    # TickEncoder are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
+    # Messages are decoded afterwards, since their use by a subscriber is not measured. In the first second the other
     # subscribers start.
     messages = [(at, msgpack.unpackb(body)) for at, body in arrivals if at > arrivals[0][0] + 1.0]
     np.save(path, np.array([(message["tick"], at - message["timestamp"]) for at, message in messages]))

@@ -40,7 +40,7 @@ def answer_questions(report: Report) -> list[dict[str, Any]]:
     return answers
 
 
-def _exchange(report: Report) -> str | None:
+def _answer_exchange(report: Report) -> str | None:
     if (exchange := report["exchange"]) is None:
         return None
     read, write = exchange["read"], exchange["write"]
@@ -67,7 +67,7 @@ def _answer_force_sign(report: Report) -> str | None:
     return "; ".join(f"force along {push['axis']}: {push['seen']}" for push in report["pushes"]) or None
 
 
-def _ask_unplugged(report: Report) -> str | None:
+def _answer_unplugged(report: Report) -> str | None:
     fault = report["fault"]
     return fault["message"] if fault is not None and fault["kind"] == "DeviceLost" else None
 
@@ -77,7 +77,7 @@ def _answer_library(report: Report) -> str | None:
 
 
 def _answer_fast(report: Report) -> str | None:
-    return _exchange(report) if report["rate_hz"] >= FAST_HZ else None
+    return _answer_exchange(report) if report["rate_hz"] >= FAST_HZ else None
 
 
 def _answer_force_on(report: Report) -> str | None:
@@ -111,18 +111,18 @@ def _format_us(seconds: float) -> str:
 
 
 ANSWERS: Final[Mapping[str, Callable[[Report], str | None]]] = {
-    "exchange-time": _exchange,
+    "exchange-time": _answer_exchange,
     "frame": partial(_answer_moves, "translation"),
     "rotation": partial(_answer_moves, "rotation"),
     "buttons": _answer_buttons,
     "force-sign": _answer_force_sign,
-    "unplugged": _ask_unplugged,
+    "unplugged": _answer_unplugged,
     "fd-library": _answer_library,
     "fd-fast": _answer_fast,
     "fd-force-on": _answer_force_on,
     "fd-held-back": _answer_guarded_counts,
     "hid-descriptor": _answer_descriptor,
-    "hid-write": _exchange,
+    "hid-write": _answer_exchange,
     "serial-ids": _answer_ids,
 }
 """Functions that return the answer in a report, None if it was not measured."""

@@ -16,13 +16,11 @@ from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.progress import map_with_progress
 from softfinger.tools.doctor import attached, loop, machine, report
 from softfinger.tools.doctor.machine import STATES, Check, format_lines
-from softfinger.tools.exchange import check_seconds
 from softfinger.tools.measure import show
 
 
 def run(args: argparse.Namespace) -> int:
     """Check or report; returns the exit code. Raises Unfit if a check is bad, after printing all of them."""
-    check_seconds(args.seconds)
     require_machine_code("the doctor")
     if args.device_report is not None:
         return report.run(args)

@@ -45,7 +45,7 @@ def run(objects: list[dict[str, Any]], path: Array, **tables: Any) -> Any:
     return Engine(build(Scene, mapping, "a figure")).run(path)
 
 
-def load_plane(**material: Any) -> dict[str, Any]:
+def make_plane(**material: Any) -> dict[str, Any]:
     return {"name": "plane", "shape": "plane", "material": GRIP | material}
 
 
@@ -78,7 +78,7 @@ def draw_friction(axes: Any) -> None:
     axes = axes[0]
     z = RADIUS_M - 1e-3
     path = make_poses((0.0, 0.0, z), (0.002, 0.0, z), (0.0, 0.0, z))
-    records = run([load_plane()], path, rolling={"method": "midpoint"}, coupling={"damping_ns_per_m": 0.0})
+    records = run([make_plane()], path, rolling={"method": "midpoint"}, coupling={"damping_ns_per_m": 0.0})
     x, force, slides = 1e3 * path[:, 0], records["force"][:, 0], records["contact.mode"] == 2
     axes.plot(x, np.where(slides, np.nan, force), label="sticking (mode rolling)")
     axes.plot(x, np.where(slides, force, np.nan), label="sliding")
@@ -117,7 +117,7 @@ def draw_effects(axes: Any) -> None:
     path = make_poses((0.0, 0.0, 0.035), (0.0, 0.0, 0.007))
     magnet = {"kind": "magnet", "force_n": 1.5, "range_m": 0.02}
     for exponent in (1.0, 3.0):
-        records = run([load_plane(friction=None) | {"effect": [magnet | {"exponent": exponent}]}], path)
+        records = run([make_plane(friction=None) | {"effect": [magnet | {"exponent": exponent}]}], path)
         axes.plot(1e3 * (path[:, 2] - RADIUS_M), records["force"][:, 2], label=f"magnet, exponent {exponent:g}")
     axes.axhline(0.0, linewidth=0.6, color="0.4")
     axes.set(xlabel="height of the fingertip above the plane [mm]", ylabel="force on the hand [N]")
@@ -141,7 +141,7 @@ def draw_passivity(axes: Any) -> None:
     z, deep = RADIUS_M, RADIUS_M - 1e-3
     for ticks in (10, 20, 50):
         path = make_poses(*[(0.0, 0.0, height) for height in (z, deep) * 4 + (z,)], ticks=ticks)
-        force = run([load_plane(friction=None)], path)["force"]
+        force = run([make_plane(friction=None)], path)["force"]
         work = -np.cumsum(np.sum(force[:-1] * np.diff(path[:, :3], axis=0), axis=1))
         axes.plot(np.linspace(0.0, 4.0, len(work)), 1e3 * work, label=f"press of {ticks} ticks")
     axes.axhline(0.0, linewidth=0.6, color="0.4")

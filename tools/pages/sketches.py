@@ -229,7 +229,7 @@ def simulate_lift(torsion: bool) -> tuple[Array, Array, Array]:
 
 
 def draw_picture() -> str:
-    halves = [_round_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
+    halves = [_draw_half(place, *simulate_lift(torsion)) for place, torsion in enumerate((True, False))]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {2 * WIDTH} {HEIGHT}" width="{2 * WIDTH}" '
         f'height="{HEIGHT}" font-family="sans-serif" font-size="14">\n'
@@ -237,7 +237,7 @@ def draw_picture() -> str:
     )
 
 
-def _round_half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
+def _draw_half(place: int, boxes: Array, turns: Array, fingers: Array) -> str:
     seconds = len(boxes) * BLOCK / RATE_HZ
     side, size = 2.0 * HALF_M * PIXELS_PER_M, HALF_M * PIXELS_PER_M
     box = (

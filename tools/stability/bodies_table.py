@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.server.offline.figures import make_figure, save
+from softfinger.server.verbs.schema import format_grid
 from softfinger.tools.stability.bodies import BALANCE_N, REST_SPEED_SHARE, CellResult
 
 UNSTABLE: Final = ("unstable", "failed")
@@ -52,10 +53,10 @@ def format_lines(results: Sequence[CellResult]) -> list[str]:
 
 def format_cases(results: Sequence[CellResult]) -> str:
     """Return the worst measured values of each case, and the bodies that do not come to rest, with the reason."""
-    text = [
-        "| case | largest ripple | slips | energy given, at most | forces opposite to | not at rest after a second |"
-    ]
-    text.append("|---|---|---|---|---|---|")
+    head = [
+        "case", "largest ripple", "slips", "energy given, at most", "forces opposite to", "not at rest after a second"
+    ]  # fmt: skip
+    lines = []
     for case in dict.fromkeys(row.case for row in results):
         rows = [row for row in results if row.case == case]
         ripple, work, unbalanced = (
@@ -68,10 +69,9 @@ def format_cases(results: Sequence[CellResult]) -> str:
             f"{verdict} in {open_ends.count((verdict, reason))} of {len(rows)}: {reason}"
             for verdict, reason in dict.fromkeys(open_ends)
         )
-        text.append(
-            f"| {case} | {1e3 * ripple:.2g} mN | {slips} | {1e3 * work:.2g} mJ | {unbalanced:.1g} N | {faults or '-'} |"
-        )
-    return "\n".join(text) + "\n"
+        numbers = [f"{1e3 * ripple:.2g} mN", f"{slips}", f"{1e3 * work:.2g} mJ", f"{unbalanced:.1g} N"]
+        lines.append([case, *numbers, faults or "-"])
+    return format_grid(head, lines) + "\n"
 
 
 def draw(path: Path, results: Sequence[CellResult]) -> None:

@@ -23,6 +23,7 @@ from softfinger.server.loop.tick import Tuning, make_start_memory
 from softfinger.server.loop.tuning import make_tuning
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import map_with_progress
+from softfinger.server.verbs.schema import format_grid
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.wrenches import try_wrenches
 
@@ -167,12 +168,12 @@ def check_zero_refused(records: Array) -> str:
 
 def iter_cases() -> Iterator[ExtremeCase]:
     """Yield every extreme; cases of one scene type are consecutive."""
-    yield from on_a_plane()
-    yield from with_damaged_poses()
-    yield from on_other_objects()
+    yield from iter_plane_cases()
+    yield from iter_damaged_poses()
+    yield from iter_object_cases()
 
 
-def on_a_plane() -> Iterator[ExtremeCase]:
+def iter_plane_cases() -> Iterator[ExtremeCase]:
     drag = press(distance=0.01)
     yield ExtremeCase("no rotation", "a drag without any turn", drag, check_slides)
     for angle, words in ((pi, "pi"), (pi - 1e-9, "a little less than pi"), (pi + 1e-9, "a little more than pi")):
@@ -202,7 +203,7 @@ def on_a_plane() -> Iterator[ExtremeCase]:
     yield ExtremeCase("clock that jumps", "dt from 1e-9 to 1e3 s", drag, check_touch_and_release, dts=jumps)
 
 
-def with_damaged_poses() -> Iterator[ExtremeCase]:
+def iter_damaged_poses() -> Iterator[ExtremeCase]:
     for value, words in ((nan, "NaN"), (inf, "infinite"), (-inf, "minus infinite"), (1e7, "10 000 km")):
         poses = press()
         poses[100:300:7, 1] = value
@@ -221,10 +222,10 @@ def with_damaged_poses() -> Iterator[ExtremeCase]:
     poses = press()
     poses[:, :3] = hops
     yield ExtremeCase("teleporting probe", "up to 1000 km a tick, through the plane", poses)
-    yield ExtremeCase("deep penetration", "1 m at 1e6 N/m", press(1.0), clamp_sample, make_scene(stiffness=1e6))
+    yield ExtremeCase("deep penetration", "1 m at 1e6 N/m", press(1.0), check_clamp, make_scene(stiffness=1e6))
 
 
-def on_other_objects() -> Iterator[ExtremeCase]:
+def iter_object_cases() -> Iterator[ExtremeCase]:
     """Yield curvature, edges, and several contacts at once."""
     for radius, object_radius in ((1e-5, 1e3), (1e3, 1e-5), (1e3, 1e3), (1e-5, 1e-5)):
         ball = {"shape": "sphere", "radius_m": object_radius, "position_m": [0.0, 0.0, -min(object_radius, 1e3)]}
@@ -249,7 +250,7 @@ def on_other_objects() -> Iterator[ExtremeCase]:
         yield ExtremeCase("several contacts", f"{count} walls at once, turning", poses, scene=make_scene(*WALLS))
 
 
-def clamp_sample(records: Array) -> str:
+def check_clamp(records: Array) -> str:
     force = np.linalg.norm(records[:, AT.force : AT.force + 3], axis=1)
     return "" if force.max() > 0.99 * FORCE_MAX_N else "the clamp was not reached"
 
@@ -312,9 +313,9 @@ def try_extremes() -> list[ExtremeResult]:
 
 
 def format_table(results: Sequence[ExtremeResult]) -> str:
-    lines = ["| extreme | given | largest force | modes | the guard says | holds |", "|---|---|---|---|---|---|"]
-    lines += [
-        f"| {row.name} | {row.given} | {row.force_n:.3g} N | {row.modes} | {row.named or '-'} | {row.wrong or 'yes'} |"
+    head = ["extreme", "given", "largest force", "modes", "the guard says", "holds"]
+    lines = [
+        [row.name, row.given, f"{row.force_n:.3g} N", row.modes, row.named or "-", row.wrong or "yes"]
         for row in results
     ]
-    return "\n".join(lines) + "\n"
+    return format_grid(head, lines) + "\n"

@@ -24,6 +24,7 @@ from softfinger.server.loop.guard import POSE_REFUSED
 from softfinger.server.loop.tick import make_start_memory
 from softfinger.server.offline.simulate import run_ticks
 from softfinger.server.progress import show_progress
+from softfinger.server.verbs.schema import format_grid
 from softfinger.tools.measure import Array
 from softfinger.tools.stability.extremes import BALL, BLOCK, WALLS, R, count_violations, make_case_tuning, make_scene
 from softfinger.tools.stability.limit import TrialParameters, WallCase, compile_search, loop_of, run_rows
@@ -166,9 +167,7 @@ def try_hostile(ticks: int, seed: int = 1) -> list[dict[str, Any]]:
 
 
 def format_hostile_table(rows: Sequence[dict[str, Any]]) -> str:
-    lines = ["| scene | ticks | rules broken | poses refused | largest force |", "|---|---|---|---|---|"]
-    lines += [
-        f"| {row['scene']} | {row['ticks']} | {row['broken']} | {row['refused']} | {row['force_max_n']:.6g} N |"
-        for row in rows
-    ]
-    return "\n".join(lines) + "\n"
+    head = ["scene", "ticks", "rules broken", "poses refused", "largest force"]
+    keys = ("scene", "ticks", "broken", "refused")
+    lines = [[*(f"{row[key]}" for key in keys), f"{row['force_max_n']:.6g} N"] for row in rows]
+    return format_grid(head, lines) + "\n"

@@ -32,10 +32,6 @@ from softfinger.tools.sweep import run_cases
 
 def run(args: argparse.Namespace) -> int:
     case = parse_case(args)
-    for flag, low in (("cases", 1), ("ticks", 1), ("points", 2), ("seed", 0), ("garbage", 1)):
-        value = getattr(args, flag)
-        if value is not None and value < low:
-            raise ConfigError(f"command line --{flag}: {value}: must be an integer of at least {low}")
     if args.cases is not None:
         if args.plot:
             raise ConfigError("command line --plot: random runs have no plot: remove --plot or --cases")

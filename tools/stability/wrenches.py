@@ -49,7 +49,7 @@ def guard_many(guard: Guard, wrenches: Array, dts: Array, period: float, out: Ar
             out[i, 3 + k] = guarded.torque[k]
 
 
-def list_cases() -> Iterator[WrenchCase]:
+def iter_cases() -> Iterator[WrenchCase]:
     even = np.full(TICKS, T)
     yield WrenchCase("1 N from the first tick on", STEADY_WRENCH, even, lambda out, bits: check_fade_in(out, 0))
     step = STEADY_WRENCH.copy()
@@ -59,7 +59,7 @@ def list_cases() -> Iterator[WrenchCase]:
     for value, component in ((nan, 0), (inf, 1), (-inf, 2), (nan, 3), (inf, 4), (-inf, 5)):
         broken = STEADY_WRENCH.copy()
         broken[BROKEN_TICK, component] = value
-        yield WrenchCase(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, refuse)
+        yield WrenchCase(f"{value:+} N".replace("+nan", "nan") + " m" * (component > 2), broken, even, check_refusal)
     yield WrenchCase("1e300 N", STEADY_WRENCH * 1e300, even, check_clamp)
     constant = even.copy()
     constant[RAMP_TICKS] = 0.05
@@ -90,7 +90,7 @@ def check_clamp(out: Array, bits: NDArray[np.int64]) -> str:
     return "" if good else "the limit was not reached, or the direction lost"
 
 
-def refuse(out: Array, bits: NDArray[np.int64]) -> str:
+def check_refusal(out: Array, bits: NDArray[np.int64]) -> str:
     at = BROKEN_TICK
     if out[at].any() or bits[at] != NOT_FINITE or (np.delete(bits, at) & NOT_FINITE).any():
         return "a wrench that is not finite was not refused, or not named"
@@ -113,7 +113,7 @@ def find_violation(out: Array) -> str:
 
 def try_wrenches() -> Iterator[tuple[str, int, float, str, str]]:
     """Yield for each case its input, ticks, largest force (N), names of guard bits, and the fault."""
-    for case in list_cases():
+    for case in iter_cases():
         out, bits = np.zeros((TICKS, 6)), np.zeros(TICKS, np.int64)
         guard_many(LIMITS, case.wrenches, case.dts, T, out, bits)
         every = int(np.bitwise_or.reduce(bits))

@@ -10,6 +10,7 @@ import numpy as np
 
 from softfinger.config import schema
 from softfinger.config.arrays import Array
+from softfinger.drivers.quaternions import conjugate
 from softfinger.proxy.record import AT, FREE, NAMED, PATCHES, SLIDING
 from softfinger.server.surface_meshes import make_cone
 from softfinger.server.viewer.nodes.below import UP
@@ -18,7 +19,6 @@ from softfinger.server.viewer.nodes.fingertip import add_finger, add_shadow, mak
 from softfinger.server.viewer.nodes.glyphs import (
     DASHES,
     Trace,
-    invert,
     make_arc,
     make_circles,
     make_dashes,
@@ -255,7 +255,7 @@ class FingerNodes:
             length = max(float(np.linalg.norm(finger_point)), TRACE_HEIGHT_M)
             finger_point = finger_point * (1.0 + 2.0 * TRACE_HEIGHT_M / length)
             colour = COLOURS[classify_contact(before, row, self.radius) if len(rows) > 1 else self.state]
-            has_new_segments |= trace.add(rotate(invert(orientation), above), colour)
+            has_new_segments |= trace.add(rotate(conjugate(orientation), above), colour)
             has_new_segments |= self._tip_trace.add(finger_point, colour)
         for trace, node in self._list_traces():
             node.visible = is_shown

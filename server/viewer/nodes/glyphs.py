@@ -1,4 +1,4 @@
-"""Line drawings of moments (arcs), rotations (marks) and paths of contacts (traces); helpers for quaternions."""
+"""Line drawings of moments (arcs), rotations (marks) and paths of contacts (traces); rotations of points."""
 
 from __future__ import annotations
 
@@ -27,8 +27,6 @@ MAX_SEGMENT_STEPS: Final = 25.0
 """Maximum length of a segment, in steps: 5 mm."""
 MAX_DEVIATION_STEPS: Final = 0.12
 """Maximum distance of an omitted point from its segment, in steps: 0.02 mm, or a fifth of a pixel."""
-
-IDENTITY: Final[Quaternion] = (1.0, 0.0, 0.0, 0.0)
 
 
 def make_arc(angle: float, radius: float) -> Array:
@@ -68,31 +66,10 @@ def rotate_z_to(normal: Array) -> Quaternion:
     return (w, -y / (2.0 * w), x / (2.0 * w), 0.0)
 
 
-def rotate(q: Quaternion, points: Array) -> Array:
+def rotate(q: Quaternion | Array, points: Array) -> Array:
     w, v = q[0], np.array(q[1:])
     cross = 2.0 * np.cross(v, points)
     return np.asarray(points + w * cross + np.cross(v, cross))
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-def invert(q: Quaternion) -> Quaternion:
-    return (q[0], -q[1], -q[2], -q[3])
-
-
-def rotate_about(axis: Array, angle: float) -> Quaternion:
-    """Return the rotation by `angle` rad about an axis (3,) of any non-zero length."""
-    x, y, z = axis / np.linalg.norm(axis) * sin(0.5 * angle)
-    return (cos(0.5 * angle), float(x), float(y), float(z))
 
 
 class Trace:

@@ -20,12 +20,12 @@ from softfinger.server.offline.closed_loop import DrivenPlant
 from softfinger.server.viewer import gestures
 from softfinger.server.viewer.hand import BOTH, HandCommands, HandControls, MovableFinger
 from softfinger.server.viewer.inputs import MAX_STEP_M, Nudge, TwoHands
-from softfinger.server.viewer.nodes.glyphs import IDENTITY
 from softfinger.server.viewer.nodes.looks import CM
 from softfinger.server.viewer.target import Target, mirror_motion, move_towards
 
 pytestmark = pytest.mark.plain
 
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 FRAME_S = 0.04
 START = (0.0, 0.0, 0.02)
 RADIUS, RATE_HZ = 0.01, 100.0
@@ -142,7 +142,7 @@ def led_hand() -> Iterator[LedHand]:
     try:
 
         def hold(finger: str, on_target: Callable[[Target], None], failed: Callable[[], None]) -> None:
-            on_target(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), (1.0, 0.0, 0.0, 0.0)))
+            on_target(Target(np.subtract(PLACES[finger], (0.0, 0.0, GRIP)), IDENTITY))
 
         hand = HandControls(server.gui, server.scene, HandCommands(sent.__setitem__, hold))
         reach = np.full(3, 0.2)
@@ -215,13 +215,13 @@ def test_steps_before_the_hands_are_held_are_queued(led_hand: LedHand) -> None:
         hand.nudge(Nudge(z=0.001))
     assert [finger for finger, _, _ in answers] == list(PLACES) and not sent
     for finger, on_target, _ in answers:
-        on_target(Target(np.array(PLACES[finger]), (1.0, 0.0, 0.0, 0.0)))
+        on_target(Target(np.array(PLACES[finger]), IDENTITY))
     assert locate(sent) == {"thumb": [-0.04, 0.0, 0.023], "index": [0.04, 0.0, 0.023]}
     hand._release()
     hand.nudge(Nudge(z=0.001))
     assert len(answers) == 4 and list(sent.values()) == [None, None]
     answers[-1][2]()
-    answers[-2][1](Target(np.array(PLACES["thumb"]), (1.0, 0.0, 0.0, 0.0)))
+    answers[-2][1](Target(np.array(PLACES["thumb"]), IDENTITY))
     assert list(sent.values()) == [None, None]
 
 

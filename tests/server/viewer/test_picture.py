@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from softfinger.config import schema
 from softfinger.config.load import build
+from softfinger.drivers.quaternions import exp
 from softfinger.proxy.engine import Engine
 from softfinger.proxy.record import AT, FREE, RECORD_SIZE, ROLLING, SLIDING
 from softfinger.server.surface_meshes import SurfaceMesh, make_cone, make_surface
@@ -167,8 +168,8 @@ def test_a_plumb_line_ends_on_top_of_a_ball(axis: np.ndarray, share: float, turn
     have 9 degrees in each direction, so they are within 2 r (1 - cos 4.5 degrees) = 0.12 mm of the ball, which is 0.28
     mm of height at the slope of 0.9 r; their normals are within 2 * 4.5 degrees."""
     ball, centre, radius = {"shape": "sphere", "radius_m": 0.02, "name": "ball"}, np.array([0.01, -0.03, 0.05]), 0.02
-    turned = glyphs.rotate_about(axis, turn)
-    place = {"position_m": centre.tolist(), "orientation_wxyz": list(turned)}
+    turned = exp(turn * axis / np.linalg.norm(axis))
+    place = {"position_m": centre.tolist(), "orientation_wxyz": turned.tolist()}
     bodies = make_bodies(ball | place)
     offset = share * radius * np.array([cos(turn), sin(turn), 0.0])
     exact = np.array([*offset[:2], sqrt(radius**2 - offset @ offset)])
@@ -244,8 +245,9 @@ def test_an_arrow_fits_on_the_screen(force: float, newtons_per_cm: float) -> Non
         assert scale == newtons_per_cm
 
 
+IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 EYE = np.array([0.3, -0.4, 0.5])
-START = Target(np.array([0.01, 0.0, 0.02]), glyphs.IDENTITY)
+START = Target(np.array([0.01, 0.0, 0.02]), IDENTITY)
 GRABBED = np.array([0.01, -0.01, 0.02])
 
 
@@ -260,8 +262,8 @@ QUARTER = 0.5 * pi * 0.01
 @pytest.mark.parametrize(
     ("moved", "gesture", "turn"),
     [
-        ((0.02, 0.01, 0.0), "move", glyphs.IDENTITY),
-        ((0.0, 0.0, -0.015), "press", glyphs.IDENTITY),
+        ((0.02, 0.01, 0.0), "move", IDENTITY),
+        ((0.0, 0.0, -0.015), "press", IDENTITY),
         ((QUARTER, 0.0, 0.0), "roll", (sqrt(0.5), 0.0, sqrt(0.5), 0.0)),  # about +y, as a ball without slip
     ],
 )
@@ -274,7 +276,7 @@ def test_a_drag_moves_presses_or_rolls(moved: Any, gesture: Any, turn: Any) -> N
 def test_a_nudge_moves_rolls_and_spins() -> None:
     on = nudge_target(START, Nudge(x=0.001, z=-0.002), 0.01)
     np.testing.assert_allclose(on.position, START.position + np.array([0.001, 0.0, -0.002]), atol=1e-15)
-    assert on.orientation == pytest.approx(glyphs.IDENTITY)
+    assert on.orientation == pytest.approx(IDENTITY)
     by_mouse = drag_target(START, EYE, GRABBED, aim(GRABBED + np.array([0.0, QUARTER, 0.0])), "roll", 0.01)
     by_key = nudge_target(START, Nudge(roll_y=QUARTER), 0.01)
     assert by_mouse is not None and by_key.orientation == pytest.approx(by_mouse.orientation)
