@@ -12,7 +12,6 @@ import os
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec.structs import replace
-from numba import carray
 
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
@@ -37,9 +36,8 @@ from softfinger.drivers.spacemouse.device import Puck, compute_pose, read_button
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
-from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
@@ -94,7 +92,7 @@ def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
     intention = unpack_at(_INTENTION_LIKE, handle + 8 * AT.intention)
-    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    stored_state = float64_array_at(handle + 8 * AT.state, _STATE_SIZE)
     state = unpack(_STATE_LIKE, stored_state)
     n, status = word[LOG.reads], OK
     if n > 0:
@@ -103,9 +101,7 @@ def _read(handle: int, sample: Any) -> int:
         else:
             own, own_turn = compute_goal(intention, float64_at(word[AT.poses]), n)
             hand = word[AT.hand]
-            request = carray(float64_at(hand + 8 * led_hand.AT.request), (led_hand.REQUEST_SIZE,))
-            slot = Slot(carray(int64_at(hand + 8 * led_hand.AT.sequence), (led_hand.COUNTERS,)), request)
-            led_hand.receive(hand, slot, carray(float64_at(hand + 8 * led_hand.AT.copied), (led_hand.REQUEST_SIZE,)))
+            led_hand.receive(hand)
             goal, orientation = led_hand.compute_intention(hand, own, own_turn, state.goal, 1.0 / plant.rate)
             state = advance(
                 plant, state, _read_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line)
@@ -121,7 +117,7 @@ def _read_led_by_puck(handle: int, sample: Any) -> int:
     """Implement `read` for a hand that a puck leads; like the plant, it moves by one period per read."""
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
-    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    stored_state = float64_array_at(handle + 8 * AT.state, _STATE_SIZE)
     state = unpack(_STATE_LIKE, stored_state)
     puck, n = word[AT.puck], word[LOG.reads]
     if n > 0:
