@@ -13,7 +13,7 @@ A driver implements six kernels, dispatched by the type of a named tuple that it
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any, Final, NamedTuple, Protocol
+from typing import Annotated, Any, Final, NamedTuple
 
 from numba import types
 
@@ -27,10 +27,8 @@ from softfinger.drivers.base import (
     STALE,
     TIMEOUT,
     WITHHELD,
-    Capabilities,
 )
 from softfinger.drivers.block import Block, lay_out, numbers, word
-from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.samples import (
     CURRENT_WAIT_MAX_NS,
     PAUSE_MIN_NS,
@@ -98,13 +96,6 @@ def init_exchange(block: Block, fd: int, times: BoardTimes, misread_max: int = 1
     spans = (BOARD.quiet, BOARD.kick, BOARD.kick_awaiting, BOARD.timeout_after)
     for field, seconds in zip(spans, times, strict=True):
         at[field] = round(seconds * 1e9)
-
-
-class BoardOptions(Capabilities, Protocol):
-    """Keys of a rig for any board."""
-
-    @property
-    def mounting(self) -> Mounting: ...
 
 
 # --- kernels of a driver ---------------------------------------------------------------------------
