@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Final
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
 from softfinger.drivers.falcon.block import AT, IN_BYTES
 from softfinger.drivers.falcon.conversion import HOME
@@ -61,7 +62,7 @@ class Falcon(BlockDevice):
         self._block = Block(AT)
         self._word = self._block.word
         self.info = make_info(LIMITS, f"Novint Falcon {usb.IDS}", sensed_dof=3)
-        try:
+        with undo_on_error(self.close):
             self._set_up()
             self._wait_for_home()
             if options.counts_per_nm is None:
@@ -71,9 +72,6 @@ class Falcon(BlockDevice):
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
             self._word[AT.has_sample] = 0  # the first sample must be from the time of the servo loop
-        except BaseException:
-            self.close()
-            raise
 
     def _set_up(self) -> None:
         word, options = self._word, self._options

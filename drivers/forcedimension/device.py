@@ -22,6 +22,7 @@ from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import DeviceInfo, make_info
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.exchange import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
@@ -62,12 +63,9 @@ class ForceDimension(BlockDevice):
         self._word = self._block.word
         self._word[AT.cause] = -1
         self._id, self._model = selection.open_selected(self._library, options)
-        try:
+        with undo_on_error(self.close):
             self._set_up(rate_hz)
             self.info = self._make_info()
-        except BaseException:
-            self.close()
-            raise
 
     def arm(self) -> None:
         block = self._block.handle

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from functools import partial
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec.structs import replace
@@ -16,6 +17,7 @@ from msgspec.structs import replace
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, load_presets, make_simulation
@@ -192,8 +194,5 @@ def open_device(options: Options, rate_hz: float) -> SimulatedDevice:
     if options.puck is None:
         return SimulatedDevice(options, rate_hz)
     fd, name = spacemouse.open_puck(options.puck)
-    try:
+    with undo_on_error(partial(os.close, fd)):
         return SimulatedDevice(options, rate_hz, (fd, name))
-    except BaseException:
-        os.close(fd)
-        raise

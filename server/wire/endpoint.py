@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
 from softfinger.config.schema import find_runtime_folder
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.system.discovery import find_holder
 
 LISTEN_BACKLOG: Final = 128
@@ -135,14 +136,11 @@ def listen(endpoint: str, key: str, public: bool = False, private: bool = False)
 def _listen_tcp(address: str) -> socket.socket:
     host, _, port = address.rpartition(":")
     listener = socket.socket(socket.AF_INET6 if "[" in host else socket.AF_INET)
-    try:
+    with undo_on_error(listener.close):
         # A port with connections in TIME_WAIT is free; one with a listener is not.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         host = {"localhost": "127.0.0.1", "*": "0.0.0.0"}.get(host, host.strip("[]"))
         listener.bind((host, 0 if port == "*" else int(port)))
-    except BaseException:
-        listener.close()
-        raise
     return listener
 
 
@@ -155,10 +153,8 @@ def _listen_ipc(path: Path, endpoint: str, key: str, files: ExitStack, private: 
     # Only the user, and the group unless `private`, may connect. The mask is the whole process's: restore it at once.
     mask = os.umask(0o177 if private else 0o117)
     try:
-        listener.bind(str(path))
-    except BaseException:
-        listener.close()
-        raise
+        with undo_on_error(listener.close):
+            listener.bind(str(path))
     finally:
         os.umask(mask)
     files.callback(path.unlink, missing_ok=True)
