@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from softfinger.drivers.base import Device, DeviceIO
 from softfinger.drivers.system.makers_library import find_address
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.memory import float64_array_at, int64_array_at
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_array_at, int64_array_at
 from softfinger.proxy.kernels.jit.seqlock import Slot
 
 SEQUENCE_WORDS: Final = 8
@@ -85,6 +85,20 @@ def raw_bytes(doc: str, count: int) -> BlockField:
 def slot(doc: str, count: int) -> BlockField:
     """Declare a sequence lock with `count` float64, so that its writer and its readers never wait for each other."""
     return BlockField(doc, SEQUENCE_WORDS + count)
+
+
+@jit
+def try_lock(handle: int, lock: int) -> bool:
+    """Acquire the lock in word `lock` of a block; return False if another thread has it.
+
+    A tick never waits for a lock: its owner is stopping the device, so that refusing a force is right.
+    """
+    return bool(exchange_int64(handle + 8 * lock, 1) == 0)
+
+
+@jit
+def unlock(handle: int, lock: int) -> None:
+    exchange_int64(handle + 8 * lock, 0)
 
 
 @jit

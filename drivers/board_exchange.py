@@ -28,7 +28,7 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import Block, lay_out, numbers, word
+from softfinger.drivers.block import Block, lay_out, numbers, try_lock, unlock, word
 from softfinger.drivers.samples import (
     CURRENT_WAIT_MAX_NS,
     PAUSE_MIN_NS,
@@ -40,7 +40,7 @@ from softfinger.drivers.samples import (
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 WAIT_MS: Final = 10
 """Duration of one wait for a current sample."""
@@ -60,7 +60,7 @@ class Fields(NamedTuple):
         int, word("bytes of the last packet that the device has not accepted yet; written by the driver")
     ]
     misread_bytes: Annotated[
-        int, word("bytes since the latest sample that are no valid data; written by the driver, otherwise 0")
+        int, word("bytes since the latest sample that are no valid data; 0 if the driver does not count them")
     ]
     misread_max: Annotated[int, word("number of such bytes at which the protocol counts as wrong")]
     opened_at: Annotated[int, word("time at which the device was opened, ns")]
@@ -142,11 +142,11 @@ def _read_clock(handle: int) -> int:
 @jit
 def _kick(driver: Any, handle: int) -> int:
     """Wake the device, unless another thread is writing to stop it: then its write wakes the device."""
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return STALE
     status: int = wake(driver, handle)
     int64_at(handle)[BOARD.kicked_at] = _read_clock(handle)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return status
 
 
@@ -238,8 +238,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
 @jit
 def write_once(driver: Any, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return WITHHELD
     zero = is_zero(wrench, 3)  # no motor turns the handle: torque is accepted, but not displayed
     status = OK
@@ -254,7 +253,7 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
                 status = WITHHELD
         else:
             status = send_wrench(driver, handle, wrench)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return status
 
 
@@ -263,12 +262,12 @@ def disarm_and_zero_once(driver: Any, handle: int) -> int:
     """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
     at[BOARD.armed] = 0
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return 0  # a write is in progress
     status = OK
     if at[BOARD.fd] >= 0:
         status = send_zero(driver, handle)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return 0 if status == HELD or at[BOARD.unsent_bytes] > 0 else 1
 
 

@@ -69,12 +69,12 @@ class ForceDimension(BlockDevice):
 
     def arm(self) -> None:
         block = self._block.handle
-        if not exchange.lock.ctypes(block):
+        if not exchange.lock_library.ctypes(block):
             return  # a stop has the lock; after a stop the device must not be armed
         try:
             self._switch_force_on()
         finally:
-            exchange.unlock.ctypes(block)
+            exchange.unlock_library.ctypes(block)
 
     def stop(self) -> None:
         if self._word[AT.stopped] and self._zero_failure in ("", NO_ANSWER):  # done, or in progress
@@ -147,11 +147,11 @@ class ForceDimension(BlockDevice):
 
     def _run_locked(self, work: Callable[[], object]) -> None:
         """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
-        if self._call_until_done(exchange.lock, LOCK_WAIT_S):
+        if self._call_until_done(exchange.lock_library, LOCK_WAIT_S):
             try:
                 work()
             finally:
-                exchange.unlock.ctypes(self._block.handle)
+                exchange.unlock_library.ctypes(self._block.handle)
             return
         if open_devices.call_all(lambda _: work(), [self], HANG_WAIT_S):
             log.error(

@@ -65,7 +65,7 @@ class HaplyDevice(BlockDevice):
         word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
-        # otherwise a zero of an earlier stop is still unanswered
+        # If a zero of an earlier stop is unanswered, this call waits for the same one.
         if word[AT.stops_answered] == word[AT.stops_requested]:
             word[AT.stops_requested] += 1
             os.eventfd_write(int(word[AT.wake]), 1)

@@ -23,12 +23,12 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, slot, slot_at, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, slot, slot_at, try_lock, unlock, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.samples import PAUSE_MIN_NS, copy_sample, is_finite, is_zero, shift_sample_time, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_array_at, float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
 from softfinger.proxy.kernels.jit.seqlock import refresh, store
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -190,8 +190,7 @@ def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
     if at[AT.failed] < 0:
         return OK if is_zero(wrench, 3) else int(at[AT.failed])
-    # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return WITHHELD
     now = read_monotonic_ns(handle + 8 * AT.timespec)
     force, status = _limit(handle, wrench, now)
@@ -204,5 +203,5 @@ def write(handle: int, wrench: Any) -> int:
         store(slot_at(handle + 8 * AT.wrench, WRENCH_SIZE), outgoing)
         if at[AT.wake] >= 0:
             write_now(at[AT.wake], handle + 8 * AT.increment, 8)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status

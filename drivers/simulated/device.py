@@ -1,7 +1,7 @@
 """Simulated device: handle, motors and hand of `plant`, behind the device contract.
 
-Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a place with a
-sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
+Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a fixed position
+with a sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
 reproducible to the bit regardless of the clock, unless a puck or a program leads the hand.
 """
 
