@@ -92,7 +92,7 @@ class SocketServer:
         )
         self._subscribers: list[Subscribers] = []
         self._clients: list[CommandClients] = []
-        self._receive()  # earlier messages are not sent to later subscribers, except the stored ones
+        self._receive()  # before there are subscribers: only messages that are stored for them have an effect
         for listener in setup.listeners:
             self._open(socket_context, listener, setup.backlog)
         self._peer_sockets: list[PeerSocket] = [

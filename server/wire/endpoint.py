@@ -16,7 +16,7 @@ from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
 from softfinger.config.schema import find_runtime_folder
 from softfinger.drivers.closeable import undo_on_error
-from softfinger.drivers.system.discovery import find_holder
+from softfinger.drivers.system.discovery import find_holder, read_process
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system queues until they are accepted."""
@@ -199,8 +199,7 @@ def _find_listener(port: int) -> str:
     for folder in Path("/proc").glob("[0-9]*/fd"):
         try:
             if any(os.readlink(entry) in sockets for entry in folder.iterdir()):
-                name = (folder.parent / "comm").read_text().strip()
-                return f"process {folder.parent.name} ({name})"
+                return str(read_process(int(folder.parent.name)))
         except OSError:  # it has exited, or belongs to another user
             continue
     return ""

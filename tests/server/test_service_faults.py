@@ -86,7 +86,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     rendering = SimpleNamespace(rig=rig, force=Failing())
     actions = SimpleNamespace(
         replace=print,
-        publisher=SimpleNamespace(set_preparing=print, serve=served.append),
+        publisher=SimpleNamespace(set_preparing=print, commands=SimpleNamespace(serve=served.append)),
         fail=ended.append,
         event=lambda *words, **more: events.append((words, more)),
     )

@@ -1,4 +1,4 @@
-"""Force switch in memory that is shared with the publisher process."""
+"""Force switch in memory that is shared with the process of commands."""
 
 from __future__ import annotations
 
