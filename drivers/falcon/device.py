@@ -13,7 +13,7 @@ from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
-from softfinger.drivers.falcon.block import AT, IN_BYTES
+from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.conversion import HOME
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 from softfinger.drivers.system.discovery import SystemDevice
@@ -94,7 +94,7 @@ class Falcon(BlockDevice):
         at = self._block.handle
         word[AT.in_done] = word[AT.out_done] = 1  # not submitted
         for field, endpoint, flag, buffer, length in (
-            (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
+            (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, packets.CHIP_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
             transfer_at = allocate(0)

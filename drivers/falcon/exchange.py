@@ -25,7 +25,7 @@ from numba import types
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.block import try_lock, unlock
 from softfinger.drivers.falcon import packets
-from softfinger.drivers.falcon.block import AT, IN_BYTES
+from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.conversion import compute_command, convert_reply, process_byte
 from softfinger.drivers.samples import (
     CURRENT_WAIT_MAX_NS,
@@ -40,8 +40,6 @@ from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
 from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
 
-STATUS_BYTES: Final = 2
-"""Status bytes of the serial chip, before the data."""
 UNANSWERED_MAX: Final = 2
 """Maximum number of unanswered packets: one in the device, one in transmission."""
 TRANSFERS_MAX: Final = 8
@@ -125,7 +123,7 @@ def _read_transfers(handle: int, wait_us: int) -> int:
         if status != OK:
             return status
         data = uint8_at(handle + 8 * AT.buffer_in)
-        for k in range(STATUS_BYTES, min(int32_at(word[AT.transfer_in])[_ACTUAL], IN_BYTES)):
+        for k in range(packets.STATUS_BYTES, min(int32_at(word[AT.transfer_in])[_ACTUAL], packets.CHIP_BYTES)):
             if process_byte(handle, data[k]):
                 count += 1
         status = _submit(handle, AT.transfer_in, AT.in_done)

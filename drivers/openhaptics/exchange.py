@@ -183,15 +183,15 @@ def _send_wrench(handle: int, wrench: Any) -> None:
 
 
 @jit
-def _store_pose(handle: int) -> None:
-    """Store the frame's pose in the world frame; the orientation is NaN if its matrix is not a rotation."""
+def _make_pose(handle: int) -> Any:
+    """Return the frame's pose in the world frame; the orientation is NaN if its matrix is not a rotation."""
     word, new_pose = int64_at(handle), float64_array_at(handle + 8 * AT.new_pose, SAMPLE_SIZE)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
     rows = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
     store_pose(new_pose, (p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M), convert_matrix(rows))
     new_pose[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
     new_pose[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
-    store(slot_at(handle + 8 * AT.pose, SAMPLE_SIZE), new_pose)
+    return new_pose
 
 
 @c_function(types.uint32(types.int64))
@@ -210,7 +210,7 @@ def run_frame(handle: int) -> int:
     call_void(word[AT.end_frame], device)
     _store_errors(handle)
     if word[AT.status] == OK:
-        _store_pose(handle)
+        store(slot_at(handle + 8 * AT.pose, SAMPLE_SIZE), _make_pose(handle))
     word[AT.frames] += 1
     if stopping != 0:
         word[AT.has_sent_zero] = 1
