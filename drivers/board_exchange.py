@@ -37,15 +37,13 @@ from softfinger.drivers.samples import (
     is_zero,
     shift_sample_time,
 )
-from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, wait_readable
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 WAIT_MS: Final = 10
 """Duration of one wait for a current sample."""
-
-_POLLIN: Final = 1 << 32  # `events` of a struct pollfd, read as one little-endian word
 
 
 class Fields(NamedTuple):
@@ -157,23 +155,16 @@ def _silence_status(handle: int, misread_bytes: int) -> int:
 
 
 @jit
-def _wait_ready(handle: int, wait_ms: int) -> None:
-    """Wait until the device has sent something, or `wait_ms` have passed."""
-    at = int64_at(handle)
-    at[BOARD.poll] = at[BOARD.fd] | _POLLIN
-    poll_fd(int64_at(handle + 8 * BOARD.poll), 1, wait_ms)
-
-
-@jit
 def _await(driver: Any, handle: int) -> int:
     """Discard queued samples and wait for a current one, waking the device. Return like `drain`.
 
     The wait is short if there is a sample to repeat.
     """
     at = int64_at(handle)
+    poll_word = handle + 8 * BOARD.poll
     count: int = drain(driver, handle)
-    if count >= 0:
-        _wait_ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
+    if count >= 0:  # poll makes a terminal deliver bytes in transit before it reports that there are none
+        wait_readable(at[BOARD.fd], 0, poll_word)
         count = drain(driver, handle)
     start = now = _read_clock(handle)
     misread_bytes = at[BOARD.misread_bytes]
@@ -184,7 +175,7 @@ def _await(driver: Any, handle: int) -> int:
             status = _kick(driver, handle)
             if status < 0:
                 return status
-        _wait_ready(handle, WAIT_MS)
+        wait_readable(at[BOARD.fd], WAIT_MS, poll_word)
         count = drain(driver, handle)
         if count != 0:
             break
