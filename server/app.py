@@ -22,7 +22,7 @@ from softfinger.server.services.base import Service, stop_all
 from softfinger.server.services.command_handlers import DaemonInterface
 from softfinger.server.services.command_service import CommandService
 from softfinger.server.services.description import describe_daemon
-from softfinger.server.services.monitoring import DeviceWarningMonitor, HotplugDetector, HotplugMonitor, SwapMonitor
+from softfinger.server.services.monitoring import DeviceWarningMonitor, HotplugMonitor, SwapMonitor
 from softfinger.server.services.recordings import BlackBoxes, Recordings
 from softfinger.server.services.records import RecordService, Sink, TelemetryService
 from softfinger.server.services.rendering import Rendering
@@ -90,7 +90,7 @@ class Daemon:
         self._failed_at = math.inf
         self._published_faults: Final[set[str]] = set()
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
-        hotplug = HotplugDetector()
+        hotplug = HotplugMonitor(self._publish_event)
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
@@ -304,7 +304,7 @@ class Daemon:
         return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._publish_event)
 
     def _make_services(
-        self, scene_name: str, hotplug: HotplugDetector, metrics: MetricsService | None, sinks: Sequence[Sink]
+        self, scene_name: str, hotplug: HotplugMonitor, metrics: MetricsService | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
@@ -335,7 +335,7 @@ class Daemon:
             self.blackbox,
             RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._publish_event),
             self.supervisor,
-            HotplugMonitor(hotplug, self._publish_event),
+            hotplug,
             DeviceWarningMonitor(lambda: self.devices, self._publish_event),
             SwapMonitor(self._publish_event),
             WorldPublisher(self.servo, self._send_message, self._publish_event),

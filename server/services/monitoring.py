@@ -103,14 +103,35 @@ def parse_swapped_kb(status: str) -> int:
     return int(match[1]) if match else 0
 
 
-class HotplugDetector:
-    """Detector of devices attached or detached since it was created; `root` contains sys and dev."""
+def make_event_fields(device: SystemDevice) -> dict[str, Any]:
+    """Return the keys of an event that identify the device."""
+    claim = find_claim(device)
+    return {
+        "device": device.name,
+        "bus": device.bus,
+        "ids": device.ids,
+        "serial": device.serial,
+        "node": device.node,
+        "driver": claim.driver if claim else "",
+    }
 
-    def __init__(self, root: Path = discovery.ROOT) -> None:
-        self._root = root
+
+class HotplugMonitor(PeriodicCheck):
+    """Service that publishes the devices attached when it was created, then each that is attached or detached.
+
+    root  contains sys and dev
+    """
+
+    def __init__(self, event: Callable[..., Any], root: Path = discovery.ROOT) -> None:
+        super().__init__(
+            "hotplug",
+            "attached and detached devices are",
+            HOTPLUG_PERIOD_S,
+            lambda text: event("fault", "hotplug", message=text),
+        )
+        self._event, self._root = event, root
         self._known: dict[str, SystemDevice] = {}
-        self.present = [device for _, device in self.changes()]
-        """Devices attached when the object was created."""
+        self._present = [device for _, device in self.changes()]
 
     def changes(self) -> list[tuple[str, SystemDevice]]:
         """Return the changes since the last call: `detached` or `attached`, and the device."""
@@ -125,35 +146,12 @@ class HotplugDetector:
                 attached.append(("attached", device))
         return [*detached, *attached]
 
-
-def make_event_fields(device: SystemDevice) -> dict[str, Any]:
-    """Return the keys of an event that identify the device."""
-    claim = find_claim(device)
-    return {
-        "device": device.name,
-        "bus": device.bus,
-        "ids": device.ids,
-        "serial": device.serial,
-        "node": device.node,
-        "driver": claim.driver if claim else "",
-    }
-
-
-class HotplugMonitor(Worker):
-    """Service that publishes by `event` all changes since `hotplug` was created, even if it is started later."""
-
-    def __init__(self, hotplug: HotplugDetector, event: Callable[..., Any]) -> None:
-        super().__init__("hotplug")
-        self._hotplug, self._event = hotplug, event
+    def check(self) -> None:
+        for action, device in self.changes():
+            log.info("%s: %s", action, device)
+            self._event("device", action, **make_event_fields(device))
 
     def work(self) -> None:
-        for device in self._hotplug.present:
+        for device in self._present:
             self._event("device", "present", **make_event_fields(device))
-        while not self.closing.wait(HOTPLUG_PERIOD_S):
-            for action, device in self._hotplug.changes():
-                log.info("%s: %s", action, device)
-                self._event("device", action, **make_event_fields(device))
-
-    def handle_failure(self, error: Exception) -> None:
-        """Publish an event; the run continues, because rendering does not depend on this service."""
-        self._event("fault", "hotplug", message=str(error))
+        super().work()
