@@ -34,11 +34,16 @@ SWAP_REMEDY: Final = (
 
 
 class PeriodicCheck(Worker):
-    """Service that calls `check` periodically; a failure is an event, and the run continues."""
+    """Service that calls `check` periodically; a failure is an event, and the run continues.
 
-    def __init__(self, name: str, subject: str, period_s: float, publish: Callable[[str], object]) -> None:
-        super().__init__(name)
-        self._subject, self._period_s, self._publish = subject, period_s, publish
+    fault    name of the fault events, and of the thread
+    subject  what is no longer reported after a failure
+    event    publishes an event
+    """
+
+    def __init__(self, fault: str, subject: str, period_s: float, event: Callable[..., Any]) -> None:
+        super().__init__(fault)
+        self._subject, self._period_s, self._event = subject, period_s, event
 
     @abstractmethod
     def check(self) -> None: ...
@@ -50,22 +55,17 @@ class PeriodicCheck(Worker):
 
     def warn(self, message: str) -> None:
         log.warning("%s", message)
-        self._publish(message)
+        self._event("fault", self.name, message=message)
 
     def handle_failure(self, error: Exception) -> None:
-        self._publish(f"{self._subject} no longer reported: {error}")
+        self._event("fault", self.name, message=f"{self._subject} no longer reported: {error}")
 
 
 class DeviceWarningMonitor(PeriodicCheck):
     """Service that polls the devices for warnings, and reports each once, when it starts or changes."""
 
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
-        super().__init__(
-            "device warnings",
-            "warnings of devices are",
-            DEVICE_PERIOD_S,
-            lambda text: event("fault", DEVICE_WARNING, message=text),
-        )
+        super().__init__(DEVICE_WARNING, "warnings of devices are", DEVICE_PERIOD_S, event)
         self._devices = devices
         self._reported: set[tuple[str, str]] = set()
 
@@ -84,9 +84,7 @@ class SwapMonitor(PeriodicCheck):
     """
 
     def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
-        super().__init__(
-            "swapping", "memory in swap is", SWAP_PERIOD_S, lambda text: event("fault", SWAPPED, message=text)
-        )
+        super().__init__(SWAPPED, "memory in swap is", SWAP_PERIOD_S, event)
         self._status = status
         self._reported = False
 
@@ -123,13 +121,8 @@ class HotplugMonitor(PeriodicCheck):
     """
 
     def __init__(self, event: Callable[..., Any], root: Path = discovery.ROOT) -> None:
-        super().__init__(
-            "hotplug",
-            "attached and detached devices are",
-            HOTPLUG_PERIOD_S,
-            lambda text: event("fault", "hotplug", message=text),
-        )
-        self._event, self._root = event, root
+        super().__init__("hotplug", "attached and detached devices are", HOTPLUG_PERIOD_S, event)
+        self._root = root
         self._known: dict[str, SystemDevice] = {}
         self._present = [device for _, device in self.changes()]
 
