@@ -16,13 +16,18 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import zmq
-from zmq.auth.thread import ThreadAuthenticator
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.keys import ClientKeys
 from softfinger.server.socket_process.channel_messages import ANSWER_MAX, REQUEST_MAX
-from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.peer_socket import (
+    KeyLock,
+    PeerSocket,
+    SocketContext,
+    bound_resources,
+    open_context,
+)
 from softfinger.server.socket_process.subscribers import Subscribers
 from softfinger.server.wire.client_requests import connect
 from softfinger.server.wire.endpoint import BoundSocket
@@ -187,19 +192,14 @@ class Forwarder:
         outlets: Outlets | None = None,
     ) -> None:
         self._files = ExitStack()
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._files.callback(self._context.destroy, 0)
         self._start_s = time.monotonic()
         self.stream = self.readers = self.commanders = None
         self.outlets: Final = outlets
         self._peer_sockets: list[PeerSocket] = []
         try:
-            authenticator = ThreadAuthenticator(self._context)
-            authenticator.start()
-            self._files.callback(authenticator.stop)
-            socket_context = SocketContext(self._context, authenticator)
+            socket_context = open_context(self._files, linger_ms=0, has_keys=True)
             if stream is not None:
-                self.stream = Stream(self._context, *stream)
+                self.stream = Stream(socket_context.context, *stream)
             if self.stream is not None and readers is not None:
                 self.readers = Subscribers(socket_context, *readers, QUEUE)
                 self.stream.consumers.append(self.readers.send)
