@@ -4,13 +4,15 @@
         frames: Annotated[int, counter("frames received")]
         fd: Annotated[int, word("file descriptor of the port, below 0 after closing")]
         values: Annotated[int, numbers("values of the latest frame", 8)]
+        pose: Annotated[int, slot("latest pose", 7)]
         table: Annotated[int, address("rows of a report")]
 
     AT: Final = lay_out(Fields)
 
 The address of the block is the device's handle, and `AT` is the word index of each field: a kernel accesses a word as
-`int64_at(handle)[AT.fd]`, and an array of numbers at the address `handle + 8 * AT.values`. Kernels compile `AT` as
-constants. They are part of the source, which the kernel cache is keyed by, so they cannot become stale.
+`int64_at(handle)[AT.fd]`, an array of numbers at the address `handle + 8 * AT.values`, and a sequence lock as
+`slot_at(handle + 8 * AT.pose, 7)`. Kernels compile `AT` as constants. They are part of the source, which the kernel
+cache is keyed by, so they cannot become stale.
 """
 
 from __future__ import annotations
@@ -27,7 +29,12 @@ from numpy.typing import NDArray
 
 from softfinger.drivers.base import Device, DeviceIO
 from softfinger.drivers.system.makers_library import find_address
+from softfinger.proxy.kernels.jit.decorators import jit
+from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_array_at, int64_array_at
+from softfinger.proxy.kernels.jit.seqlock import Slot
 
+SEQUENCE_WORDS: Final = 8
+"""Size of a sequence counter in int64: one cache line."""
 CALL_PERIOD_S: Final = 1e-4
 
 log: Final = logging.getLogger(__name__)
@@ -75,6 +82,32 @@ def raw_bytes(doc: str, count: int) -> BlockField:
     return BlockField(doc, -(-count // 8))
 
 
+def slot(doc: str, count: int) -> BlockField:
+    """Declare a sequence lock with `count` float64, so that its writer and its readers never wait for each other."""
+    return BlockField(doc, SEQUENCE_WORDS + count)
+
+
+@jit
+def try_lock(handle: int, lock: int) -> bool:
+    """Acquire the lock in word `lock` of a block; return False if another thread has it.
+
+    A tick never waits for a lock: its owner is stopping the device, so that refusing a force is right.
+    """
+    return bool(exchange_int64(handle + 8 * lock, 1) == 0)
+
+
+@jit
+def unlock(handle: int, lock: int) -> None:
+    exchange_int64(handle + 8 * lock, 0)
+
+
+@jit
+def slot_at(address: int, size: int) -> Slot:
+    """Return the sequence lock of `size` float64 at an address."""
+    sequence = int64_array_at(address, SEQUENCE_WORDS)
+    return Slot(sequence, float64_array_at(address + 8 * SEQUENCE_WORDS, size))
+
+
 @cache
 def read_fields(fields: type[tuple[int, ...]]) -> dict[str, BlockField]:
     """Return the fields that a class declares, in their order."""
@@ -111,6 +144,11 @@ class Block:
     def numbers(self, at: int, count: int) -> NDArray[np.float64]:
         """Return a view of `count` float64 from word `at`."""
         return self.word[at : at + count].view(np.float64)
+
+    def slot(self, at: int, count: int) -> Slot:
+        """Return the sequence lock of `count` float64 at word `at`."""
+        values = at + SEQUENCE_WORDS
+        return Slot(self.word[at:values], self.numbers(values, count))
 
     def raw_bytes(self, at: int, count: int) -> NDArray[np.uint8]:
         """Return a view of `count` bytes from word `at`."""

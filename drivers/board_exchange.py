@@ -13,7 +13,7 @@ A driver implements six kernels, dispatched by the type of a named tuple that it
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any, Final, NamedTuple, Protocol
+from typing import Annotated, Any, Final, NamedTuple
 
 from numba import types
 
@@ -27,10 +27,8 @@ from softfinger.drivers.base import (
     STALE,
     TIMEOUT,
     WITHHELD,
-    Capabilities,
 )
-from softfinger.drivers.block import Block, lay_out, numbers, word
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.block import Block, lay_out, numbers, try_lock, unlock, word
 from softfinger.drivers.samples import (
     CURRENT_WAIT_MAX_NS,
     PAUSE_MIN_NS,
@@ -39,15 +37,13 @@ from softfinger.drivers.samples import (
     is_zero,
     shift_sample_time,
 )
-from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, poll_fd, read_monotonic_ns
+from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, wait_readable
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.dispatch import by_type
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 
 WAIT_MS: Final = 10
 """Duration of one wait for a current sample."""
-
-_POLLIN: Final = 1 << 32  # `events` of a struct pollfd, read as one little-endian word
 
 
 class Fields(NamedTuple):
@@ -62,7 +58,7 @@ class Fields(NamedTuple):
         int, word("bytes of the last packet that the device has not accepted yet; written by the driver")
     ]
     misread_bytes: Annotated[
-        int, word("bytes since the latest sample that are no valid data; written by the driver, otherwise 0")
+        int, word("bytes since the latest sample that are no valid data; 0 if the driver does not count them")
     ]
     misread_max: Annotated[int, word("number of such bytes at which the protocol counts as wrong")]
     opened_at: Annotated[int, word("time at which the device was opened, ns")]
@@ -98,13 +94,6 @@ def init_exchange(block: Block, fd: int, times: BoardTimes, misread_max: int = 1
     spans = (BOARD.quiet, BOARD.kick, BOARD.kick_awaiting, BOARD.timeout_after)
     for field, seconds in zip(spans, times, strict=True):
         at[field] = round(seconds * 1e9)
-
-
-class BoardOptions(Capabilities, Protocol):
-    """Keys of a rig for any board."""
-
-    @property
-    def mounting(self) -> Mounting: ...
 
 
 # --- kernels of a driver ---------------------------------------------------------------------------
@@ -151,11 +140,11 @@ def _read_clock(handle: int) -> int:
 @jit
 def _kick(driver: Any, handle: int) -> int:
     """Wake the device, unless another thread is writing to stop it: then its write wakes the device."""
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return STALE
     status: int = wake(driver, handle)
     int64_at(handle)[BOARD.kicked_at] = _read_clock(handle)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return status
 
 
@@ -166,23 +155,16 @@ def _silence_status(handle: int, misread_bytes: int) -> int:
 
 
 @jit
-def _wait_ready(handle: int, wait_ms: int) -> None:
-    """Wait until the device has sent something, or `wait_ms` have passed."""
-    at = int64_at(handle)
-    at[BOARD.poll] = at[BOARD.fd] | _POLLIN
-    poll_fd(int64_at(handle + 8 * BOARD.poll), 1, wait_ms)
-
-
-@jit
 def _await(driver: Any, handle: int) -> int:
     """Discard queued samples and wait for a current one, waking the device. Return like `drain`.
 
     The wait is short if there is a sample to repeat.
     """
     at = int64_at(handle)
+    poll_word = handle + 8 * BOARD.poll
     count: int = drain(driver, handle)
-    if count >= 0:
-        _wait_ready(handle, 0)  # poll makes a terminal deliver bytes in transit before it reports that there are none
+    if count >= 0:  # poll makes a terminal deliver bytes in transit before it reports that there are none
+        wait_readable(at[BOARD.fd], 0, poll_word)
         count = drain(driver, handle)
     start = now = _read_clock(handle)
     misread_bytes = at[BOARD.misread_bytes]
@@ -193,7 +175,7 @@ def _await(driver: Any, handle: int) -> int:
             status = _kick(driver, handle)
             if status < 0:
                 return status
-        _wait_ready(handle, WAIT_MS)
+        wait_readable(at[BOARD.fd], WAIT_MS, poll_word)
         count = drain(driver, handle)
         if count != 0:
             break
@@ -247,8 +229,7 @@ def read_once(driver: Any, handle: int, sample: Any) -> int:
 @jit
 def write_once(driver: Any, handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    # Never wait here: the lock's owner may be stopping the device, and then refusing is right as well.
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return WITHHELD
     zero = is_zero(wrench, 3)  # no motor turns the handle: torque is accepted, but not displayed
     status = OK
@@ -263,7 +244,7 @@ def write_once(driver: Any, handle: int, wrench: Any) -> int:
                 status = WITHHELD
         else:
             status = send_wrench(driver, handle, wrench)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return status
 
 
@@ -272,12 +253,12 @@ def disarm_and_zero_once(driver: Any, handle: int) -> int:
     """Disarm and send a zero. Return 1 if that is done, 0 if it was not accepted and the call must be repeated."""
     at = int64_at(handle)
     at[BOARD.armed] = 0
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return 0  # a write is in progress
     status = OK
     if at[BOARD.fd] >= 0:
         status = send_zero(driver, handle)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return 0 if status == HELD or at[BOARD.unsent_bytes] > 0 else 1
 
 

@@ -1,8 +1,10 @@
-"""Base class of objects with a `close` method that are context managers."""
+"""Release of resources: a base class of objects with a `close` method, and a context that undoes a failed opening."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Self
 
 
@@ -18,3 +20,13 @@ class Closeable(ABC):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextmanager
+def undo_on_error(undo: Callable[[], object]) -> Iterator[None]:
+    """Call `undo` if the block raises any exception, which then propagates."""
+    try:
+        yield
+    except BaseException:
+        undo()
+        raise

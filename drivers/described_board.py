@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_BUTTONS, SAMPLE_GRIPPER, DeviceInfo, make_info
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, word
-from softfinger.drivers.board_exchange import BOARD, BoardOptions
+from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.fields.options import InputField, OutputField
 from softfinger.drivers.fields.table import (
     BUTTONS,
@@ -34,7 +34,7 @@ from softfinger.drivers.kinematics.mechanism import (
     make_mechanism,
 )
 from softfinger.drivers.kinematics.options import Kinematics
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.mounting import MountedOptions, Mounting
 from softfinger.drivers.samples import is_zero, store_pose
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
@@ -86,7 +86,7 @@ DESCRIBED: Final = lay_out(Fields, after=BOARD)
 
 def init_described(
     block: Block,
-    board: BoardOptions,
+    options: MountedOptions,
     kinematics: Kinematics,
     input_fields: tuple[InputField, ...],
     output_fields: tuple[OutputField, ...],
@@ -100,9 +100,9 @@ def init_described(
     at[DESCRIBED.in_rows], at[DESCRIBED.out_rows] = len(input_fields), len(output_fields)
     block.set_address(DESCRIBED.in_table, make_input_table(input_fields, big_endian))
     block.set_address(DESCRIBED.out_table, make_output_table(output_fields, big_endian))
-    mechanism = make_mechanism(kinematics, board.force_max_n)
+    mechanism = make_mechanism(kinematics, options.force_max_n)
     block.numbers(DESCRIBED.last_position, 3)[:] = mechanism.delta.home
-    set_model(block, mechanism, board.mounting)
+    set_model(block, mechanism, options.mounting)
     return mechanism
 
 
@@ -110,9 +110,9 @@ def set_model(block: Block, mechanism: Mechanism, mounting: Mounting) -> None:
     block.numbers(DESCRIBED.model, MODEL_SIZE)[:] = flatten(FrameConversion(mechanism, *mounting.frame()))
 
 
-def make_described_info(block: Block, board: BoardOptions, kinematics: Kinematics, name: str) -> DeviceInfo:
+def make_described_info(block: Block, options: MountedOptions, kinematics: Kinematics, name: str) -> DeviceInfo:
     sensed_dof = 6 if block.word[DESCRIBED.has_orientation] else kinematics.dof
-    return make_info(board, name, sensed_dof, kinematics.dof, board.mounting.position_m)
+    return make_info(options, name, sensed_dof, kinematics.dof, options.mounting.position_m)
 
 
 @jit

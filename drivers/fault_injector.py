@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Final, NamedTuple
 
 import numpy as np
-from numba import carray, types
+from numba import types
 from numpy.typing import NDArray
 
 from softfinger.config.schema import faults
@@ -37,7 +37,7 @@ from softfinger.drivers.samples import copy_sample
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.atomics import call_device
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
 
 WRENCH_SIZE: Final = 6
 POSE_SIZE: Final = len(NUMBERS)
@@ -176,7 +176,7 @@ def _corrupt_sample(handle: int, tick: int) -> None:
 @c_function(IO_SIGNATURE, on_demand=True)
 def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
-    last_sample = carray(float64_at(handle + 8 * AT.sample), (SAMPLE_SIZE,))
+    last_sample = float64_array_at(handle + 8 * AT.sample, SAMPLE_SIZE)
     tick = word[AT.ticks]
     word[AT.ticks] = tick + 1
     status, is_repeated = _replace_read(handle, tick)
@@ -195,7 +195,7 @@ def _read(handle: int, sample: Any) -> int:
 @c_function(IO_SIGNATURE, on_demand=True)
 def _write(handle: int, wrench: Any) -> int:
     word = int64_at(handle)
-    commanded = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
+    commanded = float64_array_at(handle + 8 * AT.wrench, WRENCH_SIZE)
     for i in range(WRENCH_SIZE):
         commanded[i] = wrench[i]
     tick, status, is_delivered = word[AT.ticks] - 1, OK, True

@@ -20,7 +20,7 @@ from softfinger.config.arrays import Array
 from softfinger.config.errors import RecordingError
 from softfinger.config.files import write_new_file
 from softfinger.drivers.base import OK, WITHHELD
-from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_out, word
+from softfinger.drivers.block import Block, BlockDevice, address, counter, lay_out, try_lock, unlock, word
 from softfinger.drivers.samples import is_zero
 from softfinger.drivers.system.libc import IO_SIGNATURE
 from softfinger.proxy.kernels.jit.decorators import PLAIN, c_function, jit
@@ -32,6 +32,8 @@ LOG_MIN_S: Final = 10.0
 LOG_MARGIN: Final = 64
 FORCE_ENDINGS: Final = (".csv", ".npz")
 FORCE_COLUMNS: Final = ("read", "force[0]", "force[1]", "force[2]", "torque[0]", "torque[1]", "torque[2]")
+
+_ZERO: Final = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 log: Final = logging.getLogger(__name__)
 
@@ -56,25 +58,21 @@ class Fields(NamedTuple):
     capacity: Annotated[int, word("rows of the log")]
     armed: Annotated[int, word("whether wrenches are stored")]
     lock: Annotated[int, word("lock: set while a wrench is appended")]
-    next_row: Annotated[int, word("incremented and wrapped, which is cheaper than a remainder")]
+    next_row: Annotated[int, word("row of the next wrench; wrapped by comparison, which is cheaper than a remainder")]
 
 
 LOG: Final = lay_out(Fields)
 
 
 @jit
-def _append_row(handle: int, f0: float, f1: float, f2: float, t0: float, t1: float, t2: float) -> None:
+def _append_row(handle: int, wrench: Any) -> None:
     at = int64_at(handle)
     slot = at[LOG.next_row]
     at[LOG.next_row] = 0 if slot + 1 == at[LOG.capacity] else slot + 1
     row = float64_at(at[LOG.log] + slot * ROW_BYTES)
     row[0] = float(at[LOG.reads] - 1)
-    row[1] = f0
-    row[2] = f1
-    row[3] = f2
-    row[4] = t0
-    row[5] = t1
-    row[6] = t2
+    for k in range(6):
+        row[1 + k] = wrench[k]
     # an exchange instead of a plain store: it orders the count after the row, for a reader on any processor
     exchange_int64(handle + LOG.writes * 8, at[LOG.writes] + 1)
 
@@ -82,13 +80,12 @@ def _append_row(handle: int, f0: float, f1: float, f2: float, t0: float, t1: flo
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
-    # Never wait here: the lock's owner is stopping the device, so refusing is right as well.
-    if exchange_int64(handle + LOG.lock * 8, 1) != 0:
+    if not try_lock(handle, LOG.lock):
         return WITHHELD
     armed = at[LOG.armed]
     if armed:
-        _append_row(handle, wrench[0], wrench[1], wrench[2], wrench[3], wrench[4], wrench[5])
-    exchange_int64(handle + LOG.lock * 8, 0)
+        _append_row(handle, wrench)
+    unlock(handle, LOG.lock)
     if armed:
         return OK
     return OK if is_zero(wrench, 6) else WITHHELD
@@ -98,12 +95,12 @@ def write(handle: int, wrench: Any) -> int:
 def disarm_and_zero(handle: int) -> int:
     """Log a zero wrench and disarm. Return 1, or 0 if a write is in progress and the call must be repeated."""
     at = int64_at(handle)
-    if exchange_int64(handle + LOG.lock * 8, 1) != 0:
+    if not try_lock(handle, LOG.lock):
         return 0
     if at[LOG.armed]:
-        _append_row(handle, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        _append_row(handle, _ZERO)
         at[LOG.armed] = 0
-    exchange_int64(handle + LOG.lock * 8, 0)
+    unlock(handle, LOG.lock)
     return 1
 
 

@@ -24,7 +24,6 @@ from softfinger.server.services.command_service import CommandService
 from softfinger.server.services.description import describe_daemon
 from softfinger.server.services.monitoring import (
     DeviceWarningMonitor,
-    HotplugDetector,
     HotplugMonitor,
     SocketFileMonitor,
     SwapMonitor,
@@ -95,7 +94,7 @@ class Daemon:
         self._failed_at = math.inf
         self._published_faults: Final[set[str]] = set()
         # Created first, so that each later change of the attached devices is reported, even if the first poll is late.
-        hotplug = HotplugDetector()
+        hotplug = HotplugMonitor(self._publish_event)
         fingers = [finger.name for finger in scene.fingers] if len(scene.fingers) > 1 else [""]
         self._fingers: Final = fingers
         """Names of several fingers, used in messages; [""] for a single finger."""
@@ -309,7 +308,7 @@ class Daemon:
         return MetricsService(listen(f"tcp://{endpoint}", KEY), counts, self._publish_event)
 
     def _make_services(
-        self, scene_name: str, hotplug: HotplugDetector, metrics: MetricsService | None, sinks: Sequence[Sink]
+        self, scene_name: str, hotplug: HotplugMonitor, metrics: MetricsService | None, sinks: Sequence[Sink]
     ) -> list[Service]:
         telemetry = TelemetryService(self.publisher, self.servo)
         optional_services: list[CommandService | MetricsService] = []
@@ -340,7 +339,7 @@ class Daemon:
             self.blackbox,
             RecordService(self.servo, self.publisher.tap, record_sinks, self.fail, self._publish_event),
             self.supervisor,
-            HotplugMonitor(hotplug, self._publish_event),
+            hotplug,
             DeviceWarningMonitor(lambda: self.devices, self._publish_event),
             SwapMonitor(self._publish_event),
             SocketFileMonitor(self.publisher.rebind, self._publish_event),

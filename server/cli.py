@@ -214,10 +214,8 @@ def discard(stream: Any) -> None:
 
 def check_descriptors() -> None:
     """Raise the limit of open files to DESCRIPTORS_MIN if needed; raises Exhausted if that is not allowed."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return
+    import resource
+
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if 0 <= soft < DESCRIPTORS_MIN and (hard < 0 or hard > soft):
         soft = DESCRIPTORS_MIN if hard < 0 else min(hard, DESCRIPTORS_MIN)

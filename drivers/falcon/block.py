@@ -9,8 +9,6 @@ from softfinger.drivers.block import address, counter, function, lay_out, number
 from softfinger.drivers.falcon import packets
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
 
-IN_BYTES: Final = 64
-
 
 class Fields(NamedTuple):
     """Fields of the block."""
@@ -63,7 +61,7 @@ class Fields(NamedTuple):
     position: Annotated[int, numbers("position in the device frame, m", 3)]
     centre: Annotated[int, numbers("origin of the world in the device frame, m", 3)]
     gain: Annotated[int, numbers("motor counts per N m", 1)]
-    buffer_in: Annotated[int, raw_bytes("buffer of the transfer from the device", IN_BYTES)]
+    buffer_in: Annotated[int, raw_bytes("buffer of the transfer from the device", packets.CHIP_BYTES)]
     buffer_out: Annotated[int, raw_bytes("buffer of the transfer to the device", packets.SIZE)]
     sample: Annotated[int, numbers("last sample", SAMPLE_SIZE)]
 

@@ -11,8 +11,9 @@ from typing import Any, ClassVar, Final
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
-from softfinger.drivers.falcon.block import AT, IN_BYTES
+from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.conversion import HOME
 from softfinger.drivers.falcon.options import COUNTS_PER_NM, Options
 from softfinger.drivers.system.discovery import SystemDevice
@@ -61,7 +62,7 @@ class Falcon(BlockDevice):
         self._block = Block(AT)
         self._word = self._block.word
         self.info = make_info(LIMITS, f"Novint Falcon {usb.IDS}", sensed_dof=3)
-        try:
+        with undo_on_error(self.close):
             self._set_up()
             self._wait_for_home()
             if options.counts_per_nm is None:
@@ -71,9 +72,6 @@ class Falcon(BlockDevice):
                     self.info.name, COUNTS_PER_NM,
                 )  # fmt: skip
             self._word[AT.has_sample] = 0  # the first sample must be from the time of the servo loop
-        except BaseException:
-            self.close()
-            raise
 
     def _set_up(self) -> None:
         word, options = self._word, self._options
@@ -96,7 +94,7 @@ class Falcon(BlockDevice):
         at = self._block.handle
         word[AT.in_done] = word[AT.out_done] = 1  # not submitted
         for field, endpoint, flag, buffer, length in (
-            (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, IN_BYTES),
+            (AT.transfer_in, usb.ENDPOINT_IN, AT.in_done, AT.buffer_in, packets.CHIP_BYTES),
             (AT.transfer_out, usb.ENDPOINT_OUT, AT.out_done, AT.buffer_out, packets.SIZE),
         ):
             transfer_at = allocate(0)

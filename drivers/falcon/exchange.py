@@ -23,8 +23,9 @@ from typing import Any, Final
 from numba import types
 
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.block import try_lock, unlock
 from softfinger.drivers.falcon import packets
-from softfinger.drivers.falcon.block import AT, IN_BYTES
+from softfinger.drivers.falcon.block import AT
 from softfinger.drivers.falcon.conversion import compute_command, convert_reply, process_byte
 from softfinger.drivers.samples import (
     CURRENT_WAIT_MAX_NS,
@@ -37,10 +38,8 @@ from softfinger.drivers.samples import (
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
 
-STATUS_BYTES: Final = 2
-"""Status bytes of the serial chip, before the data."""
 UNANSWERED_MAX: Final = 2
 """Maximum number of unanswered packets: one in the device, one in transmission."""
 TRANSFERS_MAX: Final = 8
@@ -124,7 +123,7 @@ def _read_transfers(handle: int, wait_us: int) -> int:
         if status != OK:
             return status
         data = uint8_at(handle + 8 * AT.buffer_in)
-        for k in range(STATUS_BYTES, min(int32_at(word[AT.transfer_in])[_ACTUAL], IN_BYTES)):
+        for k in range(packets.STATUS_BYTES, min(int32_at(word[AT.transfer_in])[_ACTUAL], packets.CHIP_BYTES)):
             if process_byte(handle, data[k]):
                 count += 1
         status = _submit(handle, AT.transfer_in, AT.in_done)
@@ -265,12 +264,11 @@ def _read_locked(handle: int, sample: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
-    # Never wait here: the lock's owner is stopping the device.
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         copy_sample(float64_at(handle + 8 * AT.sample), sample)
         return STALE
     status = _read_locked(handle, sample)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status
 
 
@@ -309,11 +307,10 @@ def _write_locked(handle: int, wrench: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    # Never wait here: the lock's owner is stopping the device, so refusing is right as well.
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return WITHHELD
     status = _write_locked(handle, wrench)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status
 
 
@@ -333,7 +330,7 @@ def disarm_and_zero(handle: int) -> int:
     word = int64_at(handle)
     word[AT.stopped] = 1  # first, because a concurrent `arm` may set `armed` again
     word[AT.armed] = 0
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return 0  # an exchange is in progress
     must_repeat = False
     if word[AT.open] != 0:
@@ -345,7 +342,7 @@ def disarm_and_zero(handle: int) -> int:
                 call_int32(word[AT.cancel], (word[AT.transfer_out],))
         elif word[AT.has_force] != 0 or int32_at(word[AT.transfer_out])[_STATUS] != _COMPLETED:
             must_repeat = _submit_packet(handle, (0, 0, 0)) == OK
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return 0 if must_repeat else 1
 
 
@@ -353,7 +350,7 @@ def disarm_and_zero(handle: int) -> int:
 def cancel_transfers(handle: int) -> int:
     """Cancel both transfers, after `disarm_and_zero`. Return 1 if neither is active, 0 to repeat the call."""
     word = int64_at(handle)
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return 0
     word[AT.open] = 0
     if word[AT.in_done] == 0:
@@ -362,5 +359,5 @@ def cancel_transfers(handle: int) -> int:
         call_int32(word[AT.cancel], (word[AT.transfer_out],))
     _process_events(handle, WAIT_US)
     is_done = word[AT.in_done] != 0 and word[AT.out_done] != 0
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return 1 if is_done else 0

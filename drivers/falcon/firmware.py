@@ -16,6 +16,7 @@ import numpy as np
 
 from softfinger.config.errors import DeviceError
 from softfinger.config.files import expand_home, read_input
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import packets, usb
 from softfinger.drivers.falcon.usb import SerialChip
 
@@ -43,7 +44,7 @@ def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> Ser
     Raises the errors of `open_chip`, and DeviceError if the file cannot be used or the device does not accept it.
     """
     chip = open_chip()
-    try:
+    with undo_on_error(lambda: chip.close()):
         chip.set_run_mode()
         if has_firmware(chip):
             return chip
@@ -60,14 +61,10 @@ def start_firmware(open_chip: Callable[[], SerialChip], path: str | None) -> Ser
                     return chip
                 fault = "it sends no valid reply with this firmware; check that the file is for the Falcon"
             log.warning("Falcon: firmware, try %d of %d: %s", attempt + 1, ATTEMPTS_MAX, fault)
-    except BaseException:
-        chip.close()
-        raise
-    chip.close()
-    raise DeviceError(
-        f"the Falcon did not accept the firmware {path} in {ATTEMPTS_MAX} tries: {fault}: switch it off and on, "
-        "check the file, then start again"
-    )
+        raise DeviceError(
+            f"the Falcon did not accept the firmware {path} in {ATTEMPTS_MAX} tries: {fault}: switch it off and on, "
+            "check the file, then start again"
+        )
 
 
 def has_firmware(chip: SerialChip) -> bool:

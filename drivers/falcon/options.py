@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from typing import Annotated, Final
 
 from softfinger.config.limits import Range
-from softfinger.config.schema import Complaint, Point, Table, doc, is_usable, within
+from softfinger.config.schema import Complaint, Point, Table, doc, within
+from softfinger.drivers.mounting import check_timeout
 
 GAIN: Final = Range(100.0, 1e6, "4095 counts, the maximum, are then 41 N m and 4 mN m at a leg")
 SILENCE_S: Final = Range(0.005, 0.2, "a reply takes 2 ms; after a longer silence the force is outdated")
@@ -40,6 +41,4 @@ class Options(Table, frozen=True, kw_only=True):
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            fault = f"must be at least kick_s = {self.kick_s:g}, so that a zero is sent first"
-            yield "timeout_s", self.timeout_s, fault
+        yield from check_timeout(self, "kick_s", "zero")

@@ -15,6 +15,11 @@ from typing import Any, Final
 
 from softfinger.proxy.kernels.jit.decorators import jit
 
+CHIP_BYTES: Final = 64
+"""Size of a USB packet from the serial chip."""
+STATUS_BYTES: Final = 2
+"""Modem status before the data of each of these."""
+
 SIZE: Final = 16
 STATE: Final = 13
 """Index of the byte with state bits."""

@@ -14,6 +14,7 @@ import usb.core
 import usb.util
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound, DevicePermission
+from softfinger.drivers.falcon.packets import CHIP_BYTES, STATUS_BYTES
 from softfinger.drivers.system import libusb
 from softfinger.drivers.system.discovery import find_usb_node
 from softfinger.drivers.system.rules import explain_permission
@@ -24,9 +25,6 @@ IDS: Final = f"{VENDOR:04x}:{PRODUCT:04x}"
 INTERFACE: Final = 0
 ENDPOINT_OUT: Final = 0x02
 ENDPOINT_IN: Final = 0x81
-PACKET_BYTES: Final = 64
-STATUS_BYTES: Final = 2
-"""Modem status before every packet from the chip."""
 TIMEOUT_MS: Final = 1000
 
 
@@ -84,7 +82,7 @@ class SerialChip:
             if len(self._received) >= count:
                 break
             try:
-                self._received += bytes(self._device.read(ENDPOINT_IN, PACKET_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
+                self._received += bytes(self._device.read(ENDPOINT_IN, CHIP_BYTES, TIMEOUT_MS))[STATUS_BYTES:]
             except usb.core.USBTimeoutError:
                 break
             except usb.core.USBError as error:

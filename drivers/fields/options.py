@@ -14,6 +14,7 @@ from softfinger.config.schema import Complaint, Table, doc, is_usable, within
 
 BYTES: Final = Range(1, 1024, "the longest packet of a USB interrupt endpoint")
 FIELDS: Final = Range(1, 32, "more than any haptic device has")
+USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 SCALE: Final = Range(-1e9, 1e9, "beyond this a 32-bit field has no digits left")
 
 Type = Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "float32"]

@@ -23,6 +23,7 @@ from softfinger.config.errors import DeviceError, DeviceTimeout
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import DeviceInfo, make_info
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.forcedimension import exchange, library, selection
 from softfinger.drivers.forcedimension.exchange import AT
 from softfinger.drivers.forcedimension.options import WATCHDOG_UNIT_S, Options
@@ -64,21 +65,18 @@ class ForceDimension(BlockDevice):
         self._word = self._block.word
         self._word[AT.cause] = -1
         self._id, self._model = selection.open_selected(self._library, options)
-        try:
+        with undo_on_error(self.close):
             self._set_up(rate_hz)
             self.info = self._make_info()
-        except BaseException:
-            self.close()
-            raise
 
     def arm(self) -> None:
         block = self._block.handle
-        if not exchange.lock.ctypes(block):
+        if not exchange.lock_library.ctypes(block):
             return  # a stop has the lock; after a stop the device must not be armed
         try:
             self._switch_force_on()
         finally:
-            exchange.unlock.ctypes(block)
+            exchange.unlock_library.ctypes(block)
 
     def stop(self) -> None:
         if self._word[AT.stopped] and self._zero_failure in ("", NO_ANSWER):  # done, or in progress
@@ -152,11 +150,11 @@ class ForceDimension(BlockDevice):
 
     def _run_locked(self, work: Callable[[], object]) -> None:
         """Run `work` while the loop is not inside the library; if a call of the loop hangs, run it in parallel."""
-        if self._call_until_done(exchange.lock, LOCK_WAIT_S):
+        if self._call_until_done(exchange.lock_library, LOCK_WAIT_S):
             try:
                 work()
             finally:
-                exchange.unlock.ctypes(self._block.handle)
+                exchange.unlock_library.ctypes(self._block.handle)
             return
         if open_devices.call_all(lambda _: work(), [self], HANG_WAIT_S):
             log.error(

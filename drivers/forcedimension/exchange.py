@@ -25,13 +25,13 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import counter, function, lay_out, numbers, raw_bytes, word
+from softfinger.drivers.block import counter, function, lay_out, numbers, raw_bytes, try_lock, unlock, word
 from softfinger.drivers.forcedimension.library import ERROR_TIMEOUT
 from softfinger.drivers.samples import convert_matrix, copy_sample, is_finite, is_zero, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int32_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at
 
 STATUS_WORDS: Final = 17
 
@@ -161,12 +161,11 @@ def _read_locked(handle: int, sample: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def read(handle: int, sample: Any) -> int:
-    # Never wait here: the lock's owner is stopping the device.
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         copy_sample(float64_at(handle + 8 * AT.sample), sample)
         return STALE
     status = _read_locked(handle, sample)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status
 
 
@@ -198,20 +197,20 @@ def _write_locked(handle: int, wrench: Any) -> int:
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return WITHHELD
     status = _write_locked(handle, wrench)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status
 
 
 @c_function(types.int64(types.int64))
-def lock(handle: int) -> int:
+def lock_library(handle: int) -> int:
     """Acquire the lock and return 1; return 0 if the loop is inside the library, and try again."""
-    return 1 if exchange_int64(handle + 8 * AT.lock, 1) == 0 else 0
+    return int(try_lock(handle, AT.lock))
 
 
 @c_function(types.int64(types.int64))
-def unlock(handle: int) -> int:
-    exchange_int64(handle + 8 * AT.lock, 0)
+def unlock_library(handle: int) -> int:
+    unlock(handle, AT.lock)
     return 0

@@ -10,10 +10,12 @@ from __future__ import annotations
 import ctypes
 import logging
 import os
+from functools import partial
 from typing import Final, NamedTuple, NoReturn
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission, DeviceTimeout
 from softfinger.drivers.base import ModelLimits
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.forcedimension import library
 from softfinger.drivers.forcedimension.options import Options
 from softfinger.drivers.system import discovery, rules
@@ -106,14 +108,11 @@ def open_selected(call: ctypes.CDLL, options: Options) -> tuple[int, Model]:
         if device < 0:
             failed = failed or _make_open_error(call, number)
             continue
-        try:
+        with undo_on_error(partial(call.drdClose, device)):
             kind, serial = call.dhdGetSystemType(device), read_serial(call, device)
             model = MODELS.get(kind) or Model("", f"device of unknown type {kind}", UNKNOWN)
             if options.serial in (None, serial) and options.model in (None, model.name):
                 return device, model
-        except BaseException:
-            call.drdClose(device)
-            raise
         rejected.append(f"{model.full_name}, serial {serial}")
         call.drdClose(device)
     if failed is not None:

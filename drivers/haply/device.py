@@ -12,6 +12,7 @@ from typing import Any, Final
 from softfinger.config.errors import DeviceLost, DeviceTimeout
 from softfinger.drivers.base import make_info
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.haply import connection as service
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT
@@ -39,11 +40,8 @@ class HaplyDevice(BlockDevice):
         grip = "" if connection.grip is None else f" with {connection.grip}"
         self.info = make_info(options, f"haply {connection.device}{grip}", 3 if connection.grip is None else 6)
         self._thread = ExchangeThread(connection, self._block)
-        try:
+        with undo_on_error(self.close):
             self._thread.start()
-        except BaseException:
-            self.close()
-            raise
 
     def arm(self) -> None:
         """Wait for a current state, and allow forces, unless the device was stopped."""
@@ -67,7 +65,7 @@ class HaplyDevice(BlockDevice):
         word[AT.armed] = 0  # from now on the thread sends only zeros
         if word[AT.wake] < 0:
             return
-        # otherwise a zero of an earlier stop is still unanswered
+        # If a zero of an earlier stop is unanswered, this call waits for the same one.
         if word[AT.stops_answered] == word[AT.stops_requested]:
             word[AT.stops_requested] += 1
             os.eventfd_write(int(word[AT.wake]), 1)

@@ -12,8 +12,6 @@ import os
 import time
 from typing import Annotated, Any, Final, NamedTuple
 
-from numba import carray
-
 from softfinger.drivers.base import (
     HELD,
     OK,
@@ -25,20 +23,18 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
-from softfinger.drivers.block import Block, counter, lay_out, numbers, word
+from softfinger.drivers.block import Block, counter, lay_out, numbers, slot, slot_at, try_lock, unlock, word
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.samples import PAUSE_MIN_NS, copy_sample, is_finite, is_zero, shift_sample_time, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, TIMESPEC_WORDS, read_monotonic_ns, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, unpack_at
-from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
+from softfinger.proxy.kernels.jit.seqlock import refresh, store
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.rotations import conjugate, multiply, normalize, rotate
 
-COUNTERS: Final = 8
-"""Size of a sequence counter in int64: one cache line."""
 POSE_SIZE: Final = 9
 """Numbers of a pose: position (3,) m, orientation (4,), buttons, and time of arrival (ns, monotonic clock)."""
 ARRIVAL_TIME: Final = 8
@@ -97,10 +93,8 @@ class Fields(NamedTuple):
     dropped_reported: Annotated[int, word("`dropped` at the last read")]
     timespec: Annotated[int, numbers("struct timespec of the clock", TIMESPEC_WORDS)]
     model: Annotated[int, numbers("a `ServiceFrame`", MODEL_SIZE)]
-    pose_sequence: Annotated[int, numbers("counter of the poses' lock", COUNTERS)]
-    pose: Annotated[int, numbers("latest pose in the service's frame", POSE_SIZE)]
-    wrench_sequence: Annotated[int, numbers("counter of the wrenches' lock", COUNTERS)]
-    wrench: Annotated[int, numbers("newest wrench", WRENCH_SIZE)]
+    pose: Annotated[int, slot("latest pose in the service's frame", POSE_SIZE)]
+    wrench: Annotated[int, slot("newest wrench", WRENCH_SIZE)]
     copied: Annotated[int, numbers("the loop's copy of a pose, which may be torn", POSE_SIZE)]
     outgoing: Annotated[int, numbers("the wrench being written", WRENCH_SIZE)]
     sample: Annotated[int, numbers("last sample", SAMPLE_SIZE)]
@@ -128,13 +122,11 @@ def init_exchange(block: Block, mounting: Mounting, force_max_n: float, times: S
 
 
 @jit
-def _read_pose(handle: int, poses: Slot, copied: Any) -> bool:
-    """Convert the latest pose to the sample and return True, if the loop has not read it yet.
-
-    `poses` and `copied` are the fields of these names as arrays.
-    """
+def _read_pose(handle: int) -> bool:
+    """Convert the latest pose to the sample and return True, if the loop has not read it yet."""
     at, sample = int64_at(handle), float64_at(handle + 8 * AT.sample)
-    newest = refresh(poses, at[AT.pose_sequence_read], copied)
+    copied = float64_array_at(handle + 8 * AT.copied, POSE_SIZE)
+    newest = refresh(slot_at(handle + 8 * AT.pose, POSE_SIZE), at[AT.pose_sequence_read], copied)
     if newest == at[AT.pose_sequence_read]:
         return False
     at[AT.pose_sequence_read] = newest
@@ -155,9 +147,7 @@ def read(handle: int, sample: Any) -> int:
     if at[AT.failed] < 0:
         return int(at[AT.failed])
     now = read_monotonic_ns(handle + 8 * AT.timespec)
-    counters = carray(int64_at(handle + 8 * AT.pose_sequence), (COUNTERS,))
-    poses = Slot(counters, carray(float64_at(handle + 8 * AT.pose), (POSE_SIZE,)))
-    status = OK if _read_pose(handle, poses, carray(float64_at(handle + 8 * AT.copied), (POSE_SIZE,))) else STALE
+    status = OK if _read_pose(handle) else STALE
     silence = now - at[AT.sampled_at]
     if at[AT.read_at] != 0 and now - at[AT.read_at] > PAUSE_MIN_NS and silence > at[AT.quiet]:
         # the thread may have been paused too: neither a silence nor a current pose
@@ -200,20 +190,18 @@ def write(handle: int, wrench: Any) -> int:
     at = int64_at(handle)
     if at[AT.failed] < 0:
         return OK if is_zero(wrench, 3) else int(at[AT.failed])
-    # Never wait here: the lock's owner writes a zero or closes the device, so refusing is right as well.
-    if exchange_int64(handle + 8 * AT.lock, 1) != 0:
+    if not try_lock(handle, AT.lock):
         return WITHHELD
     now = read_monotonic_ns(handle + 8 * AT.timespec)
     force, status = _limit(handle, wrench, now)
     if status != HELD:
-        outgoing = carray(float64_at(handle + 8 * AT.outgoing), (WRENCH_SIZE,))
+        outgoing = float64_array_at(handle + 8 * AT.outgoing, WRENCH_SIZE)
         for k in range(3):
             outgoing[k] = force[k]
         at[AT.written] += 1
         outgoing[WRITE_TIME], outgoing[WRENCH_NUMBER] = float(now), float(at[AT.written])
-        wrenches = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
-        store(Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (COUNTERS,)), wrenches), outgoing)
+        store(slot_at(handle + 8 * AT.wrench, WRENCH_SIZE), outgoing)
         if at[AT.wake] >= 0:
             write_now(at[AT.wake], handle + 8 * AT.increment, 8)
-    exchange_int64(handle + 8 * AT.lock, 0)
+    unlock(handle, AT.lock)
     return status

@@ -16,7 +16,7 @@ import select
 import threading
 import time
 from collections import deque
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -25,9 +25,9 @@ from softfinger.drivers import switch_interval
 from softfinger.drivers.base import LOST, PROTOCOL, TIMEOUT
 from softfinger.drivers.block import Block
 from softfinger.drivers.haply.connection import Connection
-from softfinger.drivers.haply.exchange import AT, COUNTERS, POSE_SIZE, WRENCH_NUMBER, WRENCH_SIZE, WRITE_TIME
+from softfinger.drivers.haply.exchange import AT, POSE_SIZE, WRENCH_NUMBER, WRENCH_SIZE, WRITE_TIME
 from softfinger.drivers.haply.messages import Malformed, Missing, PoseReading, encode_command, read_state
-from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
+from softfinger.proxy.kernels.jit.seqlock import publish, read
 from softfinger.proxy.kernels.model import Vec3
 
 log: Final = logging.getLogger(__name__)
@@ -48,9 +48,7 @@ class ExchangeThread:
 
     def __init__(self, connection: Connection, block: Block) -> None:
         self._connection, self._word = connection, block.word
-        poses, wrenches = (self._word[at : at + COUNTERS] for at in (AT.pose_sequence, AT.wrench_sequence))
-        self._poses = Slot(poses, block.numbers(AT.pose, POSE_SIZE))
-        self._wrenches: Any = Slot(wrenches, block.numbers(AT.wrench, WRENCH_SIZE))
+        self._poses, self._wrenches = block.slot(AT.pose, POSE_SIZE), block.slot(AT.wrench, WRENCH_SIZE)
         self._pose, self._latest_wrench = np.zeros(POSE_SIZE), np.zeros(WRENCH_SIZE)
         self._copy = np.zeros(WRENCH_SIZE)
         self._sequence = self._stops = 0

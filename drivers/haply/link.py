@@ -19,6 +19,7 @@ from typing import Any, Final
 import msgspec
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceNotFound, DeviceTimeout
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.haply.messages import Malformed, shorten
 from softfinger.drivers.haply.options import OLD_FORMAT_PORT
 
@@ -116,13 +117,10 @@ class WebSocketLink:
         self._unsent = bytearray()
         """Bytes not accepted by the system yet: the end of a frame, and the frames after it."""
         self._protocol = client.ClientProtocol(uri.parse_uri(f"ws://{HOST}:{port}"), max_size=MESSAGE_MAX)
-        try:
+        with undo_on_error(self._end.close):
             self._protocol.send_request(self._protocol.connect())
             self._flush()
             self._queued_messages = self._await_handshake(until)
-        except BaseException:
-            self._end.close()
-            raise
 
     def fileno(self) -> int:
         return self._end.fileno()

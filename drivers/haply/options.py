@@ -7,10 +7,9 @@ from typing import Annotated, Final, Literal
 
 from msgspec import Meta
 
-from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Table, doc, is_usable, within
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.mounting import MountedOptions, check_timeout
 
 PORT: Final = Range(1, 65535, "the ports of TCP")
 FORCE_MAX_N: Final = Range(0.0, 20.0, "twice the stated maximum of any of these devices")
@@ -35,7 +34,7 @@ class Filters(Table, frozen=True, kw_only=True):
     torque_scaling: Annotated[bool, doc("scale motor torques; the method is not published", True)] = True
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(MountedOptions, frozen=True, kw_only=True):
     """Selection of device and grip, mount, limits, filters and timeouts."""
 
     port: Annotated[int, within(PORT, "port of the Inverse Service on this machine", DEFAULT_PORT)] = DEFAULT_PORT
@@ -58,10 +57,7 @@ class Options(Table, frozen=True, kw_only=True):
         Meta(max_length=64),
         doc("VerseGrip for orientation and buttons: auto (the only one), none, or its id", "none"),
     ] = "auto"
-    mounting: Mounting = Mounting()
-    force_max_n: Annotated[float, within(FORCE_MAX_N, "most that it displays", 2.0)]
-    stiffness_max_n_per_m: Annotated[float, within(limits.STIFFNESS_N_PER_M, "largest value rendered stably", 500.0)]
-    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "the same of damping", 2.0)]
+    force_max_n: Annotated[float, within(FORCE_MAX_N, "largest force displayed", 2.0)]
     workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the world's origin", 0.1)]
     filters: Filters = Filters()
     stale_s: Annotated[float, within(SILENCE_S, "age above which a force is replaced by zero", 0.02)] = 0.02
@@ -73,9 +69,7 @@ class Options(Table, frozen=True, kw_only=True):
     def faults(self) -> Iterator[Complaint]:
         if is_usable(self.port) and self.port == OLD_FORMAT_PORT:
             yield "port", self.port, "is the port of format 3.0, which this driver does not support: use 10001"
-        if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
-            fault = f"must be at least quiet_s = {self.quiet_s:g}, so that a zero is sent first"
-            yield "timeout_s", self.timeout_s, fault
+        yield from check_timeout(self, "quiet_s", "zero")
 
 
 def rows(options: Options) -> list[tuple[str, str]]:

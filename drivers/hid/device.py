@@ -14,6 +14,7 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
@@ -44,13 +45,10 @@ class HidDevice(BlockDevice):
         self._block = self._make_block(fd)
         name = f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}"
         self.info = make_described_info(self._block, options, options.kinematics, name)
-        try:
+        with undo_on_error(self.close):
             if options.calibrate:
                 self._calibrate()
                 self._block.word[BOARD.has_sample] = 0  # the sample from before the calibration has a wrong position
-        except BaseException:
-            self.close()
-            raise
 
     def _make_block(self, fd: int) -> Block:
         block, options = Block(BOARD, DESCRIBED, AT), self._options

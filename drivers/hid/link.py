@@ -13,10 +13,12 @@ from __future__ import annotations
 import fcntl
 import os
 import struct
+from functools import partial
 from typing import Any, Final, NamedTuple
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.options import Options, Reports
 from softfinger.drivers.hid.report_threads import HidApi, ReportThreads
@@ -115,7 +117,8 @@ def open_usb(path: str, options: Options) -> OpenInterface:
         )
     lock_fd = open_locked(device_entry.node, explain_permission(vendor, product))
     device: Any = import_hidapi("hid").device()
-    try:
+    interface = OpenInterface(device, lock_fd, b"")
+    with undo_on_error(partial(_close, interface)):
         try:
             device.open_path(os.fsencode(path))
         except OSError as error:
@@ -126,11 +129,7 @@ def open_usb(path: str, options: Options) -> OpenInterface:
             raise DeviceError(
                 f"{path} does not return its report descriptor: unplug it and plug it in again"
             ) from error
-    except BaseException:
-        device.close()
-        os.close(lock_fd)
-        raise
-    return OpenInterface(device, lock_fd, descriptor)
+    return interface._replace(descriptor=descriptor)
 
 
 def _find_device(path: str) -> SystemDevice | None:
@@ -175,19 +174,13 @@ def open_link(options: Options) -> ReportLink:
     path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = open_usb(path, options)
-        try:
+        with undo_on_error(partial(_close, opened)):
             check_reports(opened.descriptor, path, options.reports)
-        except BaseException:
-            _close(opened)
-            raise
         return make_thread_link(opened.device, options, opened.lock_fd)
     fd = open_path(path, options.vendor_id, options.product_id)
-    try:
+    with undo_on_error(partial(os.close, fd)):
         check_reports(_read_descriptor(fd, path), path, options.reports)
         device = _open_hidapi(path) if options.through == "thread" else None
-    except BaseException:
-        os.close(fd)
-        raise
     return ReportLink(fd, None, path) if device is None else make_thread_link(device, options, fd)._replace(node=path)
 
 

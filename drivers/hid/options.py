@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import msgspec
-from msgspec import Meta
 
 from softfinger.config import limits
 from softfinger.config.limits import Range
@@ -17,15 +16,15 @@ from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, wi
 from softfinger.drivers.fields.options import (
     BYTES,
     FIELDS,
+    USB_ID,
     InputField,
     OutputField,
     check_layout,
     check_repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Chain, Kinematics, check_fields
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.mounting import MountedOptions, check_timeout
 
-USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 REPORT_ID: Final = Range(0, 255, "one byte; 0 if the device does not number its reports")
 SILENCE_S: Final = Range(0.01, 0.2, "a kick needs at least this time; after a longer one the force is outdated")
 GIVE_UP_S: Final = Range(0.01, 2.0, "a restart needs at least this time; a longer time hides a lost device")
@@ -91,7 +90,7 @@ class Reports(Table, frozen=True, kw_only=True):
             yield "preset.bytes", self.preset.bytes, f"must have the length and id of the output report: {described}"
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(MountedOptions, frozen=True, kw_only=True):
     """Keys of a rig's [device] with `driver = "hid"`."""
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor", 0x1234)]
@@ -103,25 +102,16 @@ class Options(Table, frozen=True, kw_only=True):
     ] = "auto"
     reports: Reports
     kinematics: Kinematics
-    mounting: Mounting = Mounting()
     calibrate: Annotated[
         bool, doc("set the encoder counts when opened; the arm must be in its calibration pose", False)
     ] = False
-    force_max_n: Annotated[float, within(limits.FORCE_MAX_N, "largest force displayed", 5.0)]
-    stiffness_max_n_per_m: Annotated[
-        float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
-    ]
-    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("about the workspace centre", 0.1)]
     kick_s: Annotated[float, within(SILENCE_S, "time without a report after which a zero is sent", 0.01)] = 0.01
     timeout_s: Annotated[
         float, within(GIVE_UP_S, "time without a report after which the device counts as lost", 0.1)
     ] = 0.1
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.kick_s, self.timeout_s) and self.timeout_s < self.kick_s:
-            fault = f"must be at least kick_s = {self.kick_s:g}, so that a kick is sent first"
-            yield "timeout_s", self.timeout_s, fault
+        yield from check_timeout(self, "kick_s", "kick")
         if is_usable(self.path, self.through) and self.through == "node" and not (self.path or "/").startswith("/"):
             fault = 'is a path of hidapi on USB, but through = "node" needs a node such as /dev/hidraw0'
             yield "path", self.path, fault

@@ -1,7 +1,7 @@
 """Block of memory shared by the library's thread, the servo and Python; its address is the device's handle.
 
-Poses and wrenches have one sequence lock each (`proxy.kernels.jit.seqlock`), so that neither thread waits for the
-other. Every other field has a single writer.
+Pose and wrench have a sequence lock each, so that neither thread waits for the other. Every other field has a single
+writer.
 """
 
 from __future__ import annotations
@@ -9,10 +9,8 @@ from __future__ import annotations
 from typing import Annotated, Final, NamedTuple
 
 from softfinger.drivers.base import SAMPLE_SIZE
-from softfinger.drivers.block import counter, function, lay_out, numbers, word
+from softfinger.drivers.block import counter, function, lay_out, numbers, slot, word
 from softfinger.drivers.system.libc import TIMESPEC_WORDS
-
-SEQUENCE_WORDS: Final = 8
 
 # Indices of a queued wrench, after force (N) and torque (N m), world frame.
 WRITE_TIME: Final = 6
@@ -83,13 +81,11 @@ class Fields(NamedTuple):
     switch: Annotated[int, word("inkwell switch, one byte: 0 docked")]
     temperatures: Annotated[int, numbers("motor temperatures; probably six", 16)]
     vector: Annotated[int, numbers("force or torque for the library", 3)]
-    pose_sequence: Annotated[int, numbers("sequence lock of the pose", SEQUENCE_WORDS)]
-    pose: Annotated[int, numbers("pose of the last frame", SAMPLE_SIZE)]
+    pose: Annotated[int, slot("pose of the last frame", SAMPLE_SIZE)]
     new_pose: Annotated[int, numbers("buffer for the pose of a frame", SAMPLE_SIZE)]
     read_pose: Annotated[int, numbers("buffer for the servo's copy of the pose", SAMPLE_SIZE)]
     sample: Annotated[int, numbers("last sample returned to the servo", SAMPLE_SIZE)]
-    wrench_sequence: Annotated[int, numbers("sequence lock of the wrench", SEQUENCE_WORDS)]
-    wrench: Annotated[int, numbers("wrench of the last write", WRENCH_SIZE)]
+    wrench: Annotated[int, slot("wrench of the last write", WRENCH_SIZE)]
     new_wrench: Annotated[int, numbers("buffer for the wrench of a write", WRENCH_SIZE)]
     read_wrench: Annotated[int, numbers("buffer for the thread's copy of the wrench", WRENCH_SIZE)]
     last_wrench: Annotated[int, numbers("last complete copy of the wrench", WRENCH_SIZE)]

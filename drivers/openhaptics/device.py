@@ -20,6 +20,7 @@ from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, De
 from softfinger.drivers import open_devices
 from softfinger.drivers.base import TORQUE_MAX_NM, DeviceInfo
 from softfinger.drivers.block import Block, BlockDevice
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.openhaptics import exchange, library
 from softfinger.drivers.openhaptics.block import AT
 from softfinger.drivers.openhaptics.library import MODELS, UNKNOWN, WORKSPACE_MM
@@ -65,18 +66,13 @@ class OpenHaptics(BlockDevice):
         self._warm = False
         with self._scheduler.pause():
             self._device = _open_library_device(self._library, options.name)
-            try:  # before the thread runs again, because the current device may be the same for all threads
+            # before the thread runs again, because the current device may be the same for all threads
+            with undo_on_error(lambda: self._library.hdDisableDevice(self._device)):
                 self.model, self.serial, self._style = self._read_identity()
                 self.info = self._make_info()
-            except BaseException:
-                self._library.hdDisableDevice(self._device)
-                raise
-        try:
+        with undo_on_error(self._release):
             self.calibrated = self._calibrate(calibrates)
             self._set_up()
-        except BaseException:
-            self._release()
-            raise
 
     def arm(self) -> None:
         word = self._word

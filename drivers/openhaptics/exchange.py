@@ -16,7 +16,7 @@ from math import isfinite
 from typing import Any, Final
 
 import numpy as np
-from numba import carray, types
+from numba import types
 
 from softfinger.drivers.base import (
     FORCE_OFF,
@@ -31,14 +31,15 @@ from softfinger.drivers.base import (
     TIMEOUT,
     WITHHELD,
 )
+from softfinger.drivers.block import slot_at
 from softfinger.drivers.openhaptics import library as hd
-from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, SEQUENCE_WORDS, WRENCH_SIZE, WRITE_TIME
+from softfinger.drivers.openhaptics.block import AT, KNOWN_LAPSES, WRENCH_SIZE, WRITE_TIME
 from softfinger.drivers.samples import convert_matrix, copy_sample, is_finite, is_zero, store_pose
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
 from softfinger.proxy.kernels.jit.foreign import call_int32, call_two_int64, call_void
-from softfinger.proxy.kernels.jit.memory import float64_at, int32_at, int64_at, uint8_at
-from softfinger.proxy.kernels.jit.seqlock import Slot, refresh, store
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int32_at, int64_at, uint8_at
+from softfinger.proxy.kernels.jit.seqlock import refresh, store
 
 DONE: Final = 0
 CONTINUE: Final = 1
@@ -130,15 +131,15 @@ def _read_state(handle: int) -> None:
 
 
 @jit
-def _read_wrench(handle: int, slot: Slot, into: Any) -> Any:
-    """Return the servo's last complete wrench; `into` is the array over `read_wrench`."""
-    word = int64_at(handle)
-    last_wrench = float64_at(handle + 8 * AT.last_wrench)
-    sequence = refresh(slot, word[AT.wrench_seen], into)
+def _read_wrench(handle: int) -> Any:
+    """Return the servo's last complete wrench."""
+    word, last_wrench = int64_at(handle), float64_at(handle + 8 * AT.last_wrench)
+    read_wrench = float64_array_at(handle + 8 * AT.read_wrench, WRENCH_SIZE)
+    sequence = refresh(slot_at(handle + 8 * AT.wrench, WRENCH_SIZE), word[AT.wrench_seen], read_wrench)
     if sequence != word[AT.wrench_seen]:
         word[AT.wrench_seen] = sequence
         for k in range(WRENCH_SIZE):
-            last_wrench[k] = into[k]
+            last_wrench[k] = read_wrench[k]
     return last_wrench
 
 
@@ -182,14 +183,15 @@ def _send_wrench(handle: int, wrench: Any) -> None:
 
 
 @jit
-def _make_pose(handle: int, new_pose: Any) -> None:
-    """Convert the frame's pose to the world frame; the orientation is NaN if its matrix is not a rotation."""
-    word = int64_at(handle)
+def _make_pose(handle: int) -> Any:
+    """Return the frame's pose in the world frame; the orientation is NaN if its matrix is not a rotation."""
+    word, new_pose = int64_at(handle), float64_array_at(handle + 8 * AT.new_pose, SAMPLE_SIZE)
     p, m = float64_at(handle + 8 * AT.position), float64_at(handle + 8 * AT.matrix)
     rows = ((m[0], -m[8], m[4]), (-m[2], m[10], -m[6]), (m[1], -m[9], m[5]))
     store_pose(new_pose, (p[0] / MM_PER_M, -p[2] / MM_PER_M, p[1] / MM_PER_M), convert_matrix(rows))
     new_pose[SAMPLE_TIME] = (word[AT.framed_at] - word[AT.started_at]) / NS_PER_S
     new_pose[SAMPLE_BUTTONS] = float(np.int64(int32_at(handle + 8 * AT.buttons)[0]) & 0xFFFFFFFF)
+    return new_pose
 
 
 @c_function(types.uint32(types.int64))
@@ -204,16 +206,11 @@ def run_frame(handle: int) -> int:
     call_void(word[AT.begin_frame], device)
     _read_state(handle)
     word[AT.docked] = int(word[AT.has_inkwell] != 0 and uint8_at(handle + 8 * AT.switch)[0] == 0)
-    buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
-    slot = Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), buffer)
-    _send_wrench(handle, _read_wrench(handle, slot, carray(float64_at(handle + 8 * AT.read_wrench), (WRENCH_SIZE,))))
+    _send_wrench(handle, _read_wrench(handle))
     call_void(word[AT.end_frame], device)
     _store_errors(handle)
     if word[AT.status] == OK:
-        new_pose = carray(float64_at(handle + 8 * AT.new_pose), (SAMPLE_SIZE,))
-        pose = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
-        _make_pose(handle, new_pose)
-        store(Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose), new_pose)
+        store(slot_at(handle + 8 * AT.pose, SAMPLE_SIZE), _make_pose(handle))
     word[AT.frames] += 1
     if stopping != 0:
         word[AT.has_sent_zero] = 1
@@ -236,10 +233,8 @@ def read(handle: int, sample: Any) -> int:
         return LOST
     if word[AT.status] < 0:
         return int(word[AT.status])
-    pose, last_sample = float64_at(handle + 8 * AT.read_pose), float64_at(handle + 8 * AT.sample)
-    pose_buffer = carray(float64_at(handle + 8 * AT.pose), (SAMPLE_SIZE,))
-    slot = Slot(carray(int64_at(handle + 8 * AT.pose_sequence), (SEQUENCE_WORDS,)), pose_buffer)
-    sequence = refresh(slot, word[AT.pose_seen], carray(pose, (SAMPLE_SIZE,)))
+    pose, last_sample = float64_array_at(handle + 8 * AT.read_pose, SAMPLE_SIZE), float64_at(handle + 8 * AT.sample)
+    sequence = refresh(slot_at(handle + 8 * AT.pose, SAMPLE_SIZE), word[AT.pose_seen], pose)
     word[AT.reads] += 1
     status = OK
     if sequence != word[AT.pose_seen]:
@@ -277,17 +272,13 @@ def _find_write_status(handle: int, wrench: Any, now: int) -> int:
 
 @c_function(IO_SIGNATURE)
 def write(handle: int, wrench: Any) -> int:
-    word, new_wrench = int64_at(handle), float64_at(handle + 8 * AT.new_wrench)
+    word, new_wrench = int64_at(handle), float64_array_at(handle + 8 * AT.new_wrench, WRENCH_SIZE)
     now = read_monotonic_ns(handle + 8 * AT.servo_timespec)
     status = _find_write_status(handle, wrench, now)
     for k in range(6):
         new_wrench[k] = wrench[k] if status == OK else 0.0
     new_wrench[WRITE_TIME] = float(now - word[AT.started_at])
     new_wrench[KNOWN_LAPSES] = float(word[AT.known_lapses])
-    buffer = carray(float64_at(handle + 8 * AT.wrench), (WRENCH_SIZE,))
-    store(
-        Slot(carray(int64_at(handle + 8 * AT.wrench_sequence), (SEQUENCE_WORDS,)), buffer),
-        carray(new_wrench, (WRENCH_SIZE,)),
-    )
+    store(slot_at(handle + 8 * AT.wrench, WRENCH_SIZE), new_wrench)
     word[AT.writes] += 1
     return status

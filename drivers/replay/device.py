@@ -32,7 +32,7 @@ class Fields(NamedTuple):
     samples: Annotated[int, address("(length, 7) float64")]
     length: Annotated[int, word("of the recording")]
     loop: Annotated[int, word("restart the recording at its end")]
-    next_sample: Annotated[int, word("incremented and wrapped, which is cheaper than a remainder")]
+    next_sample: Annotated[int, word("wrapped by comparison, which is cheaper than a remainder")]
     period: Annotated[int, numbers("s", 1)]
 
 

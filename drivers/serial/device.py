@@ -14,6 +14,7 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
 from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.described_board import DESCRIBED, init_described, make_described_info, set_model
 from softfinger.drivers.fields.table import encode_constants
 from softfinger.drivers.kinematics.mechanism import NO_MECHANISM, SINGULAR_POSE
@@ -65,11 +66,8 @@ class SerialDevice(BlockDevice):
             self._block.word[AT.counts_unsent] = 1
         # A killed program may have left a force, and a truncated frame: waking sends zeros.
         self._block.word[BOARD.has_force] = self._block.word[AT.maybe_torn] = 1
-        try:
+        with undo_on_error(self.close):
             self._wake(self._setup)
-        except BaseException:
-            self.close()
-            raise
 
     def _make_block(self, fd: int) -> Block:
         block, options = Block(BOARD, DESCRIBED, AT), self._options

@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 from numba import types
 
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_BUTTONS, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.block import try_lock, unlock
 from softfinger.drivers.board_exchange import (
     BOARD,
     compile_functions,
@@ -46,7 +47,7 @@ from softfinger.drivers.serial.frames import ANGLES, INFO, LOOKBACK, POSITION, d
 from softfinger.drivers.serial.queue import drop_frames, has_unsent, is_blocked, record_write
 from softfinger.drivers.system.libc import read_monotonic_ns, read_waiting, write_now
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import exchange_int64, float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
 from softfinger.proxy.kernels.jit.outlined import outlined
 from softfinger.proxy.kernels.jit.pack import unpack_at
 from softfinger.proxy.kernels.model import Quaternion, Vec3
@@ -294,9 +295,9 @@ def discard(handle: int) -> int:
     """Disarm and drop unsent bytes; return 1 if it is done, 0 if it must be tried again."""
     at = int64_at(handle)
     at[BOARD.armed] = 0
-    if exchange_int64(handle + 8 * BOARD.lock, 1) != 0:
+    if not try_lock(handle, BOARD.lock):
         return 0  # a write is in progress
     if at[BOARD.fd] >= 0:
         drop_frames(handle)
-    exchange_int64(handle + 8 * BOARD.lock, 0)
+    unlock(handle, BOARD.lock)
     return 1

@@ -8,21 +8,20 @@ from typing import Annotated, Final, Literal, get_args
 import msgspec
 from msgspec import Meta
 
-from softfinger.config import limits
 from softfinger.config.limits import Range
 from softfinger.config.schema import Complaint, Table, doc, is_usable, sized, within
 from softfinger.drivers.fields.options import (
     FIELDS,
     TYPE_BYTES,
+    USB_ID,
     InputField,
     OutputField,
     check_layout,
     check_repeated_meanings,
 )
 from softfinger.drivers.kinematics.options import Kinematics, check_fields
-from softfinger.drivers.mounting import Mounting
+from softfinger.drivers.mounting import MountedOptions, check_timeout
 
-USB_ID: Final = Range(0, 0xFFFF, "two bytes in the USB device descriptor")
 FORCE_MAX_N: Final = Range(0.0, 32.0, "a frame stores mN in two bytes, up to 32.767 N")
 SILENCE_S: Final = Range(
     0.005, 0.2, "a shorter time counts late answers as silence; after a longer one the force is outdated"
@@ -166,7 +165,7 @@ class Frames(Table, frozen=True, kw_only=True):
                     yield f"setup.field[{index}].meaning", field.meaning, fault
 
 
-class Options(Table, frozen=True, kw_only=True):
+class Options(MountedOptions, frozen=True, kw_only=True):
     """Keys for `driver = "serial"`."""
 
     vendor_id: Annotated[int, within(USB_ID, "USB vendor of the port; without the ids, path", 0x16C0)] | None = None
@@ -178,22 +177,14 @@ class Options(Table, frozen=True, kw_only=True):
     baud: Annotated[Baud, doc("speed in Bd; without effect on a native USB port", 115200)] = 115200
     frames: Annotated[Frames | None, doc("protocol of the board; default: the text protocol of WoodenHaptics")] = None
     kinematics: Annotated[Kinematics | None, doc("mechanism, with frames")] = None
-    mounting: Mounting = Mounting()
     force_max_n: Annotated[float, within(FORCE_MAX_N, "largest force displayed", 5.0)]
-    stiffness_max_n_per_m: Annotated[
-        float, within(limits.STIFFNESS_N_PER_M, "largest stiffness rendered stably", 1000.0)
-    ]
-    damping_max_ns_per_m: Annotated[float, within(limits.DAMPING_NS_PER_M, "largest damping rendered stably", 8.0)]
-    workspace_radius_m: Annotated[float, Meta(gt=0.0, le=1.0), doc("workspace about the device's origin", 0.1)]
     quiet_s: Annotated[float, within(SILENCE_S, "silence after which the force is removed", 0.02)] = 0.02
     kick_s: Annotated[float, within(SILENCE_S, "period of the frames that wake a silent board", 0.1)] = 0.1
     timeout_s: Annotated[float, within(GIVE_UP_S, "silence after which the run ends", 0.2)] = 0.2
     wake_s: Annotated[float, within(WAKE_S, "time to wake it at opening", 3.0)] = 3.0
 
     def faults(self) -> Iterator[Complaint]:
-        if is_usable(self.quiet_s, self.timeout_s) and self.timeout_s < self.quiet_s:
-            fault = f"must be at least quiet_s = {self.quiet_s:g}, so that a kick is sent first"
-            yield "timeout_s", self.timeout_s, fault
+        yield from check_timeout(self, "quiet_s", "kick")
         if is_usable(self.vendor_id, self.product_id) and (self.vendor_id is None) != (self.product_id is None):
             yield "product_id", self.product_id, "vendor_id and product_id belong together: set both or none"
         if not is_usable(self.frames, self.kinematics):

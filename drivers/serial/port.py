@@ -9,9 +9,11 @@ import struct
 import sys
 import termios
 import time
+from functools import partial
 from typing import Final, get_args
 
 from softfinger.config.errors import ConfigError, DeviceError, DeviceNotFound
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.serial.frames import FRAME_BYTES
 from softfinger.drivers.serial.options import Baud, Options
 from softfinger.drivers.system import discovery
@@ -35,16 +37,13 @@ def open_port(options: Options) -> tuple[int, str]:
     path = options.path or find_port(options)
     _check_ids(path, options)
     fd = open_locked(path, _explain_permission(path, options))
-    try:
+    with undo_on_error(partial(os.close, fd)):
         if not os.isatty(fd):
             raise DeviceError(f"{path} is not a serial port: use a /dev/ttyACMN, or remove `path`")
         try:
             set_raw(fd, options.baud)
         except (OSError, termios.error) as error:
             raise DeviceError(f"{path} cannot be set to raw mode: {error}: plug the device in again") from error
-    except BaseException:
-        os.close(fd)
-        raise
     return fd, path
 
 

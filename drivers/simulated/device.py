@@ -1,7 +1,7 @@
 """Simulated device: handle, motors and hand of `plant`, behind the device contract.
 
-Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a place with a
-sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
+Unlike in a replay, the written force moves the handle. The hand follows its intention (a recording, or a fixed position
+with a sinusoid) against the force. Read number n returns the pose at tick n of the device's time, so that a run is
 reproducible to the bit regardless of the clock, unless a puck or a program leads the hand.
 """
 
@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from functools import partial
 from typing import Annotated, Any, Final, NamedTuple
 
 from msgspec.structs import replace
-from numba import carray
 
 from softfinger.drivers import wrench_log
 from softfinger.drivers.base import END, OK, SAMPLE_BUTTONS, SAMPLE_GRIPPER, SAMPLE_TIME, make_info
 from softfinger.drivers.block import Block, address, lay_out, numbers, word
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.samples import store_pose
 from softfinger.drivers.simulated import hand as led_hand
 from softfinger.drivers.simulated.options import Options, load_presets, make_simulation
@@ -37,9 +38,8 @@ from softfinger.drivers.spacemouse.device import Puck, compute_pose, read_button
 from softfinger.drivers.system.libc import IO_SIGNATURE, read_monotonic_ns
 from softfinger.drivers.wrench_log import LOG, ROW_BYTES, LoggedDevice
 from softfinger.proxy.kernels.jit.decorators import c_function, jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
 from softfinger.proxy.kernels.jit.pack import flatten, pack, unflatten, unpack, unpack_at
-from softfinger.proxy.kernels.jit.seqlock import Slot
 from softfinger.proxy.kernels.model import Vec3
 
 _PLANT_LIKE: Final = make_plant(1.0, Handle((1.0, 1.0, 1.0)))
@@ -94,7 +94,7 @@ def _read(handle: int, sample: Any) -> int:
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
     intention = unpack_at(_INTENTION_LIKE, handle + 8 * AT.intention)
-    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    stored_state = float64_array_at(handle + 8 * AT.state, _STATE_SIZE)
     state = unpack(_STATE_LIKE, stored_state)
     n, status = word[LOG.reads], OK
     if n > 0:
@@ -103,9 +103,7 @@ def _read(handle: int, sample: Any) -> int:
         else:
             own, own_turn = compute_goal(intention, float64_at(word[AT.poses]), n)
             hand = word[AT.hand]
-            request = carray(float64_at(hand + 8 * led_hand.AT.request), (led_hand.REQUEST_SIZE,))
-            slot = Slot(carray(int64_at(hand + 8 * led_hand.AT.sequence), (led_hand.COUNTERS,)), request)
-            led_hand.receive(hand, slot, carray(float64_at(hand + 8 * led_hand.AT.copied), (led_hand.REQUEST_SIZE,)))
+            led_hand.receive(hand)
             goal, orientation = led_hand.compute_intention(hand, own, own_turn, state.goal, 1.0 / plant.rate)
             state = advance(
                 plant, state, _read_force(handle), goal, orientation, float64_at(handle + 8 * AT.delay_line)
@@ -121,7 +119,7 @@ def _read_led_by_puck(handle: int, sample: Any) -> int:
     """Implement `read` for a hand that a puck leads; like the plant, it moves by one period per read."""
     word = int64_at(handle)
     plant = unpack_at(_PLANT_LIKE, handle + 8 * AT.plant)
-    stored_state = carray(float64_at(handle + 8 * AT.state), (_STATE_SIZE,))
+    stored_state = float64_array_at(handle + 8 * AT.state, _STATE_SIZE)
     state = unpack(_STATE_LIKE, stored_state)
     puck, n = word[AT.puck], word[LOG.reads]
     if n > 0:
@@ -196,8 +194,5 @@ def open_device(options: Options, rate_hz: float) -> SimulatedDevice:
     if options.puck is None:
         return SimulatedDevice(options, rate_hz)
     fd, name = spacemouse.open_puck(options.puck)
-    try:
+    with undo_on_error(partial(os.close, fd)):
         return SimulatedDevice(options, rate_hz, (fd, name))
-    except BaseException:
-        os.close(fd)
-        raise

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import exp
-from typing import Annotated, Any, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 from softfinger.config.errors import ConfigError, HapticError
 from softfinger.drivers.base import Device, LeadableHand
-from softfinger.drivers.block import Block, lay_out, numbers, word
+from softfinger.drivers.block import Block, lay_out, numbers, slot, slot_at, word
 from softfinger.proxy.kernels.jit.decorators import jit
-from softfinger.proxy.kernels.jit.memory import float64_at, int64_at
-from softfinger.proxy.kernels.jit.seqlock import Slot, publish, refresh
+from softfinger.proxy.kernels.jit.memory import float64_array_at, float64_at, int64_at
+from softfinger.proxy.kernels.jit.seqlock import publish, refresh
 from softfinger.proxy.kernels.model import Pose, Quaternion, Vec3
 from softfinger.proxy.kernels.numerics import rotations, vec3
 from softfinger.proxy.kernels.numerics.rotations import normalize
@@ -35,15 +35,12 @@ MODE_OWN: Final = 0.0
 MODE_LED: Final = 1.0
 MODE_HOLD: Final = 2.0
 """Modes: follow the configured intention, move to the requested pose, or hold the present intention."""
-COUNTERS: Final = 8
-"""Size of a sequence counter in int64: one cache line."""
 
 
 class Fields(NamedTuple):
     """Fields of a hand that a program may lead."""
 
-    sequence: Annotated[int, numbers("counter of the sequence lock", COUNTERS)]
-    request: Annotated[int, numbers("request of the writer", REQUEST_SIZE)]
+    request: Annotated[int, slot("request of the writer", REQUEST_SIZE)]
     copied: Annotated[int, numbers("copy by the loop, possibly inconsistent", REQUEST_SIZE)]
     received: Annotated[int, numbers("last consistent copy by the loop", REQUEST_SIZE)]
     turn: Annotated[int, numbers("intended orientation of the hand", 4)]
@@ -54,10 +51,11 @@ AT: Final = lay_out(Fields)
 
 
 @jit
-def receive(handle: int, slot: Slot, copied: Any) -> None:
-    """Copy a new request, if there is one. `slot` and `copied` are the fields of these names as arrays."""
+def receive(handle: int) -> None:
+    """Copy a new request, if there is one."""
     at, received = int64_at(handle), float64_at(handle + 8 * AT.received)
-    newest = refresh(slot, at[AT.received_sequence], copied)
+    copied = float64_array_at(handle + 8 * AT.copied, REQUEST_SIZE)
+    newest = refresh(slot_at(handle + 8 * AT.request, REQUEST_SIZE), at[AT.received_sequence], copied)
     if newest != at[AT.received_sequence]:
         at[AT.received_sequence] = newest
         for k in range(REQUEST_SIZE):
@@ -116,9 +114,8 @@ class HandWriter:
         self._turn[:] = orientation
         self.handle: Final = self._block.handle
         """Handle for `compute_intention`, valid as long as this object."""
-        self._sequence = self._block.word[AT.sequence : AT.sequence + COUNTERS]
-        self._values = self._block.numbers(AT.request, REQUEST_SIZE)
-        self._request: Any = self._values.copy()
+        self._slot = self._block.slot(AT.request, REQUEST_SIZE)
+        self._request = self._slot.values.copy()
 
     def lead(self, position_m: Vec3, orientation: Quaternion | None = None) -> None:
         """Make the hand intend `position_m` (the device's frame is the world's) and the orientation; None: unchanged.
@@ -141,7 +138,7 @@ class HandWriter:
 
     def _publish_request(self, mode: float, position: Vec3, orientation: Quaternion) -> None:
         self._request[:] = mode, *position, *orientation
-        publish(Slot(self._sequence, self._values), self._request)
+        publish(self._slot, self._request)
 
 
 class NoSimulatedHand(HapticError):

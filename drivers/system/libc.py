@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from errno import EAGAIN, EINTR, EIO
+from select import POLLIN
 from termios import FIONREAD, TCFLSH, TCOFLUSH, TIOCOUTQ
 from typing import Any, Final
 
@@ -21,7 +22,7 @@ INTERRUPTED_MAX: Final = 4
 read_fd: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
 write_fd: Any = types.ExternalFunction("write", types.int64(types.int32, types.int64, types.uint64))
 _ioctl: Any = types.ExternalFunction("ioctl", types.int32(types.int32, types.uint64, types.int64))
-poll_fd: Any = types.ExternalFunction("poll", types.int32(_CPointer(types.int64), types.uint64, types.int32))
+_poll: Any = types.ExternalFunction("poll", types.int32(types.int64, types.uint64, types.int32))
 errno_location: Any = types.ExternalFunction("__errno_location", _CPointer(types.int32)())
 _clock_gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, _CPointer(types.int64)))
 
@@ -54,6 +55,16 @@ read_now: Any = _retry_interrupted(read_fd)
 
 write_now: Any = _retry_interrupted(write_fd)
 """write_now(fd, address, size): bytes accepted by a non-blocking file, or minus the error number."""
+
+
+@jit
+def wait_readable(fd: int, timeout_ms: int, word: int) -> bool:
+    """Wait until a file can be read; return False on a timeout or a signal.
+
+    `word` is the address of an int64 for scratch.
+    """
+    int64_at(word)[0] = POLLIN << 32 | fd  # a pollfd: the file in the lower half, the requested events above it
+    return bool(_poll(word, 1, timeout_ms) > 0)
 
 
 @jit

@@ -8,9 +8,11 @@ import importlib
 import os
 import stat
 import struct
+from functools import partial
 from typing import Any, Final
 
 from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound, DevicePermission
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.system import discovery
 from softfinger.drivers.system.rules import explain_permission
 
@@ -26,11 +28,8 @@ def open_locked(path: str, permit: str) -> int:
         fd = os.open(path, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
     except OSError as error:
         raise _make_open_error(path, permit, error) from error
-    try:
+    with undo_on_error(partial(os.close, fd)):
         _lock(fd, path)
-    except BaseException:
-        os.close(fd)
-        raise
     return fd
 
 
@@ -68,11 +67,8 @@ def open_path(path: str, vendor: int, product: int) -> int:
     Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device.
     """
     fd = open_locked(path, explain_permission(vendor, product))
-    try:
+    with undo_on_error(partial(os.close, fd)):
         _check_device(fd, path, vendor, product)
-    except BaseException:
-        os.close(fd)
-        raise
     return fd
 
 

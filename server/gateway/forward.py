@@ -16,14 +16,20 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 import zmq
-from zmq.auth.thread import ThreadAuthenticator
 
 from softfinger.config.errors import ConfigError
 from softfinger.server.gateway.lsl import Outlets
 from softfinger.server.keys import ClientKeys
 from softfinger.server.socket_process.channel_messages import ANSWER_MAX, REQUEST_MAX
-from softfinger.server.socket_process.peer_socket import KeyLock, PeerSocket, SocketContext, bound_resources
+from softfinger.server.socket_process.peer_socket import (
+    KeyLock,
+    PeerSocket,
+    SocketContext,
+    bound_resources,
+    open_context,
+)
 from softfinger.server.socket_process.subscribers import Subscribers
+from softfinger.server.wire.client_requests import connect
 from softfinger.server.wire.endpoint import BoundSocket
 from softfinger.server.wire.protocol import CONTACT, FINGERS, MAX_BYTES
 
@@ -49,12 +55,9 @@ class Stream:
 
     def __init__(self, context: zmq.Context[Any], endpoint: str, keys: ClientKeys | None) -> None:
         self.socket: zmq.Socket[bytes] = context.socket(zmq.SUB)
-        self.socket.linger, self.socket.rcvhwm, self.socket.maxmsgsize = 0, QUEUE, MAX_BYTES
-        self.socket.ipv6 = "[" in endpoint
-        if keys is not None:
-            keys.apply_to(self.socket)
+        self.socket.rcvhwm = QUEUE
         self.socket.subscribe(b"")
-        self.socket.connect(endpoint)
+        connect(self.socket, endpoint, keys, MAX_BYTES)
         self.consumers: list[Callable[[bytes, bytes], None]] = []
         """Functions called with each message."""
         self.messages = self.size = self.lost = 0
@@ -127,7 +130,7 @@ class Commanders:
             upstream = self._upstream[client] if is_known else self._connect(client)
             self._upstream.move_to_end(client)
             upstream.send_multipart(frames, zmq.NOBLOCK)
-        except zmq.ZMQError:  # too many are queued, or no file descriptor is left
+        except (zmq.ZMQError, ConfigError):  # too many are queued, or no file descriptor is left
             self.dropped += 1
         return not is_known
 
@@ -135,11 +138,8 @@ class Commanders:
         while len(self._upstream) >= CLIENTS_MAX:
             self._upstream.popitem(last=False)[1].close()
         upstream: zmq.Socket[bytes] = self._context.socket(zmq.DEALER)
-        upstream.linger, upstream.sndhwm, upstream.rcvhwm, upstream.maxmsgsize = 0, WAITING_MAX, WAITING_MAX, ANSWER_MAX
-        upstream.ipv6 = "[" in self._endpoint
-        if self._keys is not None:
-            self._keys.apply_to(upstream)
-        upstream.connect(self._endpoint)
+        upstream.sndhwm = upstream.rcvhwm = WAITING_MAX
+        connect(upstream, self._endpoint, self._keys, ANSWER_MAX)
         self._upstream[client] = upstream
         return upstream
 
@@ -192,19 +192,14 @@ class Forwarder:
         outlets: Outlets | None = None,
     ) -> None:
         self._files = ExitStack()
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._files.callback(self._context.destroy, 0)
         self._start_s = time.monotonic()
         self.stream = self.readers = self.commanders = None
         self.outlets: Final = outlets
         self._peer_sockets: list[PeerSocket] = []
         try:
-            authenticator = ThreadAuthenticator(self._context)
-            authenticator.start()
-            self._files.callback(authenticator.stop)
-            socket_context = SocketContext(self._context, authenticator)
+            socket_context = open_context(self._files, linger_ms=0, has_keys=True)
             if stream is not None:
-                self.stream = Stream(self._context, *stream)
+                self.stream = Stream(socket_context.context, *stream)
             if self.stream is not None and readers is not None:
                 self.readers = Subscribers(socket_context, *readers, QUEUE)
                 self.stream.consumers.append(self.readers.send)

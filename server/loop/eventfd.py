@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import os
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from softfinger.drivers.system.libc import read_fd, wait_readable
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.memory import address_of
 
-_POLLIN: Final = 1
-
-_poll: Any = types.ExternalFunction("poll", types.int32(types.int64, types.uint64, types.int32))
-_read: Any = types.ExternalFunction("read", types.int64(types.int32, types.int64, types.uint64))
 _eventfd_write: Any = types.ExternalFunction("eventfd_write", types.int32(types.int32, types.uint64))
 
 
@@ -28,14 +25,13 @@ def wake_eventfd(fd: int) -> None:
 @jit
 def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
     """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
-    _read(fd, address_of(word, 0), 8)
+    read_fd(fd, address_of(word, 0), 8)
 
 
 @jit
 def poll_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
     """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
-    word[0] = _POLLIN << 32 | fd  # a pollfd is one int64: the file in the low half, the requested events above it
-    return bool(_poll(address_of(word, 0), 1, timeout_ms) > 0)
+    return bool(wait_readable(fd, timeout_ms, address_of(word, 0)))
 
 
 def wait_for_eventfd(fd: int) -> None:

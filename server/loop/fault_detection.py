@@ -19,8 +19,8 @@ JUMPING: Final = 8
 """Faults, numbered after the reasons in server.loop.shutdown."""
 
 NO_FORCE_MAX_S: Final = 0.5
-"""Time of ticks without a usable pose or a finite force, minus that of good ticks. The force is zero during that time;
-half a second tolerates a cable that was touched, and is too short for a user to wonder whether anything runs."""
+"""Time of ticks without a usable pose or a finite force, minus that of good ticks. The force is zero during that time.
+Half a second tolerates a cable that was touched, and names the fault before a user searches for it."""
 
 TIME_PER_JUMP_S: Final = 0.1
 """Time that one jump of a pose adds: each removes the force for most of the ramp that follows, so five in a row, or ten

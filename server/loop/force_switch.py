@@ -1,8 +1,8 @@
 """Switch of the force: shared memory by which Python turns the force on and off, read in every tick.
 
-A write needs neither a lock nor a new tuning, and the loop needs no interpreter. A missing heartbeat therefore turns
-the force off while Python is busy. So do a request that the publisher received (`socket_process/brake.py`), the loss
-of the process that receives such requests, and a signal that ends the run (`server/signals.py`).
+A write needs neither a lock nor a new tuning, and the loop needs no interpreter. So the force turns off while Python is
+busy, after a missing heartbeat, a request to the process of commands (`socket_process/force_off.py`), the loss of that
+process, and a signal that ends the run (`server/signals.py`).
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import jit
 from softfinger.proxy.kernels.jit.tuples import replace
 from softfinger.server.loop.guard import Guard, GuardState
-from softfinger.server.loop.switch_fields import SIGNAL, STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
+from softfinger.server.loop.switch_fields import (
+    DEADLINE_NS,
+    IS_ACTIVE,
+    IS_REQUESTED,
+    SIGNAL,
+    STOPS_HANDLED,
+    STOPS_RECEIVED,
+    UNREACHABLE_NS,
+)
 
-IS_REQUESTED: Final = 0
-"""1: force is requested."""
-DEADLINE_NS: Final = 1
-"""Time, ns on CLOCK_MONOTONIC, at which the force turns off unless the time is extended."""
-IS_ACTIVE: Final = 2
-"""Written by the loop: 1 if a hand was given a force in the last tick, or the switch was on."""
 NO_DEADLINE_NS: Final = np.iinfo(np.int64).max
 MAX_OFF_S: Final = 0.006
 """Longest time, s, from the largest force to zero once the switch is off: that of 12 N at the default slew limit. A rig

@@ -12,7 +12,6 @@ import ctypes
 import errno
 import os
 import struct
-import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -93,16 +92,13 @@ def apply(mode: Mode, priority: int, cpu: int | None) -> AppliedSettings:
     if mode == "off":
         applied.settings.append(Setting("off", True, "as requested: the servo has normal priority", ""))
         return applied
-    if sys.platform != "linux":
-        applied.settings.extend(list_refused_settings(sys.platform, cpu))
-    else:
-        # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores its request.
-        applied.settings.append(_set_timer_slack(applied))
-        applied.settings.append(_set_fifo(applied, priority))
-        applied.settings.append(_lock_memory(applied))
-        applied.settings.append(_limit_latency(applied))
-        if cpu is not None:
-            applied.settings.append(_set_affinity(applied, cpu))
+    # Timer slack first: a SCHED_FIFO thread has none, and the kernel ignores its request.
+    applied.settings.append(_set_timer_slack(applied))
+    applied.settings.append(_set_fifo(applied, priority))
+    applied.settings.append(_lock_memory(applied))
+    applied.settings.append(_limit_latency(applied))
+    if cpu is not None:
+        applied.settings.append(_set_affinity(applied, cpu))
     if mode == "require":
         _check_required(applied)
     return applied
@@ -115,8 +111,8 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
     with other work.
     """
     setting = f"sched_fifo_{name}"
-    if sys.platform != "linux" or thread is None:
-        return Setting(setting, False, "made with Linux calls", "run on Linux, or set --realtime off")
+    if thread is None:
+        return Setting(setting, False, "the thread does not run", "start the program again")
     lowest, highest = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
     clamped = max(lowest, min(priority, highest))
     try:
@@ -126,12 +122,6 @@ def raise_priority(name: str, thread: int | None, priority: int) -> Setting:
             setting, False, f"priority {clamped}: {_format_reason(error.errno)}", _advise_on_fifo(error.errno)
         )
     return Setting(setting, True, f"priority {clamped}", "")
-
-
-def list_refused_settings(platform: str, cpu: int | None) -> list[Setting]:
-    names = ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency"] + ["affinity"] * (cpu is not None)
-    advice = "run on Linux, or set --realtime off"
-    return [Setting(name, False, f"made with Linux calls, and this is {platform}", advice) for name in names]
 
 
 def _check_required(applied: AppliedSettings) -> None:

@@ -52,6 +52,8 @@ class CommandService:
         self._handlers: Final = CommandHandlers(endpoint, rendering, daemon, scene_name)
         self.sink: Final = self._handlers.sink
         self._rendering, self._daemon = rendering, daemon
+        assert daemon.publisher.commands is not None
+        self._process: Final = daemon.publisher.commands
         self._heartbeat_s = rendering.rig.commands.heartbeat_s
         self._started = False
         self._last_request_s = 0.0
@@ -69,7 +71,7 @@ class CommandService:
         self._handlers.scenes.start()
         self._thread.start()
         self._note_alive(time.monotonic())
-        self._daemon.publisher.serve(RequestHandlers(self._receive, self._check_periodically))
+        self._process.serve(RequestHandlers(self._receive, self._check_periodically))
         self._await_process()
 
     def _await_process(self) -> None:
@@ -89,7 +91,7 @@ class CommandService:
     def stop(self) -> None:
         restore = [switch_interval.restore] if self._started else []
         self._started = False
-        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._daemon.publisher.serve(None), *restore
+        steps = self._handlers.scenes.stop, self._stop_queue, lambda: self._process.serve(None), *restore
         shutdown.complete_all_steps(*steps)
 
     def _stop_queue(self) -> None:
@@ -139,7 +141,7 @@ class CommandService:
             client = item[0]
             answer = self._answer_queued(*item)
             if answer is not None:
-                self._daemon.publisher.reply(client, answer)
+                self._process.reply(client, answer)
             with self._counts_lock:
                 self._pending_counts[client] -= 1
                 if not self._pending_counts[client]:
@@ -166,7 +168,7 @@ class CommandService:
             answer = encode_refusal(self._as_declined(outcome), command_id)
         else:
             answer = encode_answer(command_id, outcome)
-        self._daemon.publisher.reply(client, answer)
+        self._process.reply(client, answer)
 
     def _as_declined(self, error: Exception) -> DeclinedRequest:
         match error:
@@ -195,7 +197,7 @@ class CommandService:
             self._rendering.force.note_guard(UNREACHABLE_REASON, not self._rendering.force.is_reachable)
         except Exception as error:
             log.exception("commands failed")
-            self._daemon.publisher.serve(None)
+            self._process.serve(None)
             self._daemon.event("fault", "commands", message=str(error))
             self._daemon.fail(SafetyStop(f"commands cannot be received: {error}; the heartbeat cannot be checked"))
 

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from softfinger.server.loop.force_switch import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, NO_DEADLINE_NS, UNREACHABLE_MAX_NS
-from softfinger.server.loop.switch_fields import UNREACHABLE_NS
+from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS
+from softfinger.server.loop.switch_fields import DEADLINE_NS, IS_ACTIVE, IS_REQUESTED, UNREACHABLE_NS
 from softfinger.server.states import NOT_ARMED_REASON, StateMachine
 
 SWITCH_TICKS: Final = 2
@@ -77,7 +77,7 @@ class Force:
             self._reasons.difference_update(why)
             self._write()
 
-    def set_deadline(self, time_ns: int = NO_DEADLINE_NS) -> None:
+    def set_deadline(self, time_ns: int) -> None:
         """Set the time, ns on CLOCK_MONOTONIC, after which the loop turns the force off unless it is extended."""
         self._switch[DEADLINE_NS] = time_ns
 

@@ -39,11 +39,15 @@ class PeriodicCheck(Worker):
     """Service that calls `check` periodically; a failure is an event, and the run continues.
 
     Missing resources of the system, such as file descriptors, are reported once, and `check` is called again later.
+
+    fault    name of the fault events, and of the thread
+    subject  what is no longer reported after a failure
+    event    publishes an event
     """
 
-    def __init__(self, name: str, subject: str, period_s: float, publish: Callable[[str], object]) -> None:
-        super().__init__(name)
-        self._subject, self._period_s, self._publish = subject, period_s, publish
+    def __init__(self, fault: str, subject: str, period_s: float, event: Callable[..., Any]) -> None:
+        super().__init__(fault)
+        self._subject, self._period_s, self._event = subject, period_s, event
 
     @abstractmethod
     def check(self) -> None: ...
@@ -63,22 +67,17 @@ class PeriodicCheck(Worker):
 
     def warn(self, message: str) -> None:
         log.warning("%s", message)
-        self._publish(message)
+        self._event("fault", self.name, message=message)
 
     def handle_failure(self, error: Exception) -> None:
-        self._publish(f"{self._subject} no longer reported: {error}")
+        self._event("fault", self.name, message=f"{self._subject} no longer reported: {error}")
 
 
 class DeviceWarningMonitor(PeriodicCheck):
     """Service that polls the devices for warnings, and reports each once, when it starts or changes."""
 
     def __init__(self, devices: Callable[[], Sequence[Device]], event: Callable[..., Any]) -> None:
-        super().__init__(
-            "device warnings",
-            "warnings of devices are",
-            DEVICE_PERIOD_S,
-            lambda text: event("fault", DEVICE_WARNING, message=text),
-        )
+        super().__init__(DEVICE_WARNING, "warnings of devices are", DEVICE_PERIOD_S, event)
         self._devices = devices
         self._reported: set[tuple[str, str]] = set()
 
@@ -97,9 +96,7 @@ class SwapMonitor(PeriodicCheck):
     """
 
     def __init__(self, event: Callable[..., Any], status: Path = STATUS) -> None:
-        super().__init__(
-            "swapping", "memory in swap is", SWAP_PERIOD_S, lambda text: event("fault", SWAPPED, message=text)
-        )
+        super().__init__(SWAPPED, "memory in swap is", SWAP_PERIOD_S, event)
         self._status = status
         self._reported = False
 
@@ -116,29 +113,6 @@ def parse_swapped_kb(status: str) -> int:
     return int(match[1]) if match else 0
 
 
-class HotplugDetector:
-    """Detector of devices attached or detached since it was created; `root` contains sys and dev."""
-
-    def __init__(self, root: Path = discovery.ROOT) -> None:
-        self._root = root
-        self._known: dict[str, SystemDevice] = {}
-        self.present = [device for _, device in self.changes()]
-        """Devices attached when the object was created."""
-
-    def changes(self) -> list[tuple[str, SystemDevice]]:
-        """Return the changes since the last call: `detached` or `attached`, and the device."""
-        names = discovery.list_names(self._root)
-        detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
-        attached = []
-        for name in sorted(names - self._known.keys()):
-            device = discovery.read_device(name, self._root)
-            # Not described: a hub, or a device whose ids cannot be read yet. It is examined again next time.
-            if device is not None:
-                self._known[name] = device
-                attached.append(("attached", device))
-        return [*detached, *attached]
-
-
 def make_event_fields(device: SystemDevice) -> dict[str, Any]:
     """Return the keys of an event that identify the device."""
     claim = find_claim(device)
@@ -153,26 +127,39 @@ def make_event_fields(device: SystemDevice) -> dict[str, Any]:
 
 
 class HotplugMonitor(PeriodicCheck):
-    """Service that publishes by `event` all changes since `hotplug` was created, even if it is started later."""
+    """Service that publishes the devices attached when it was created, then each that is attached or detached.
 
-    def __init__(self, hotplug: HotplugDetector, event: Callable[..., Any]) -> None:
-        super().__init__(
-            "hotplug",
-            "attached and detached devices are",
-            HOTPLUG_PERIOD_S,
-            lambda text: event("fault", "hotplug", message=text),
-        )
-        self._hotplug, self._event = hotplug, event
+    root  contains sys and dev
+    """
 
-    def work(self) -> None:
-        for device in self._hotplug.present:
-            self._event("device", "present", **make_event_fields(device))
-        super().work()
+    def __init__(self, event: Callable[..., Any], root: Path = discovery.ROOT) -> None:
+        super().__init__("hotplug", "attached and detached devices are", HOTPLUG_PERIOD_S, event)
+        self._root = root
+        self._known: dict[str, SystemDevice] = {}
+        self._present = [device for _, device in self.changes()]
+
+    def changes(self) -> list[tuple[str, SystemDevice]]:
+        """Return the changes since the last call: `detached` or `attached`, and the device."""
+        names = discovery.list_names(self._root)
+        detached = [("detached", self._known.pop(name)) for name in sorted(self._known.keys() - names)]
+        attached = []
+        for name in sorted(names - self._known.keys()):
+            device = discovery.read_device(name, self._root)
+            # Not described: a hub, or a device whose ids cannot be read yet. It is examined again next time.
+            if device is not None:
+                self._known[name] = device
+                attached.append(("attached", device))
+        return [*detached, *attached]
 
     def check(self) -> None:
-        for action, device in self._hotplug.changes():
+        for action, device in self.changes():
             log.info("%s: %s", action, device)
             self._event("device", action, **make_event_fields(device))
+
+    def work(self) -> None:
+        for device in self._present:
+            self._event("device", "present", **make_event_fields(device))
+        super().work()
 
 
 class SocketFileMonitor(PeriodicCheck):
@@ -184,12 +171,7 @@ class SocketFileMonitor(PeriodicCheck):
     """
 
     def __init__(self, rebind: Callable[[], Iterable[str]], event: Callable[..., Any]) -> None:
-        super().__init__(
-            "socket files",
-            "endpoints whose socket file was removed are",
-            SOCKET_FILE_PERIOD_S,
-            lambda text: event("fault", "publisher", message=text),
-        )
+        super().__init__("publisher", "endpoints whose socket file was removed are", SOCKET_FILE_PERIOD_S, event)
         self._rebind = rebind
 
     def check(self) -> None:

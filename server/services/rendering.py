@@ -79,9 +79,9 @@ class Rendering:
         scene: schema.Scene,
         ticks: int | None,
         prepare: Callable[[], Callable[[], None]],
-        faults: schema.Faults | None = None,
-        states: StateMachine | None = None,
-        switch: NDArray[np.int64] | None = None,
+        faults: schema.Faults | None,
+        states: StateMachine,
+        switch: NDArray[np.int64],
     ) -> None:
         self.rig, self.scene = rig, scene
         self.faults: Final = faults
@@ -105,7 +105,7 @@ class Rendering:
                 devices, self._tuning, rig.servo.rate_hz, ticks, prepare, rig.commands.ramp_s, switch
             )
         unarmed = rig.guard.arm != "automatic"
-        self.force: Final = Force(unarmed, states or StateMachine(), self.servo.switch, lambda: self.servo.ticks)
+        self.force: Final = Force(unarmed, states, self.servo.switch, lambda: self.servo.ticks)
 
     def start(self) -> None:
         self._started = True  # first: an interrupted start may have started the loop, which `stop` must await
@@ -323,7 +323,7 @@ class Rendering:
         shutdown.stop_all(self.servo.devices)
 
     def _wait_ticks(self, count: int, timeout_s: float) -> bool:
-        """Wait for further ticks, or the end of the loop, when the force is zero; return False on a timeout."""
+        """Wait until `count` more ticks are done or the loop has ended; return False on a timeout."""
         ticks, until = self.servo.ticks, time.monotonic() + timeout_s
         while self.servo.is_ticking and self.servo.ticks < ticks + count:
             if time.monotonic() > until:

@@ -1,7 +1,7 @@
 """Replacement of the scene while the daemon runs: compiled in a separate process, then exchanged.
 
 A compilation of half a minute cannot be interrupted within a process. A separate process therefore compiles into the
-cache, and the daemon loads the result. `commands.py` requests the changes.
+cache, and the daemon loads the result. `command_handlers.py` requests the changes.
 """
 
 from __future__ import annotations

@@ -35,7 +35,8 @@ class ServiceNotifier(Worker):
     def __init__(self, servo: ServoThread, environment: Mapping[str, str]) -> None:
         super().__init__("notify")
         self._servo = servo
-        self._address = _parse_address(environment["NOTIFY_SOCKET"])
+        name = environment["NOTIFY_SOCKET"]
+        self._address = f"\0{name[1:]}" if name.startswith("@") else name  # @: an abstract name
         self._period_s = min(_read_watchdog_s(environment) / 4.0, 1.0)
 
     def work(self) -> None:
@@ -65,11 +66,6 @@ class ServiceNotifier(Worker):
                 log.debug("systemd was not notified of %s: %s", state, error)
                 return False
         return True
-
-
-def _parse_address(name: str) -> str:
-    """Return the address for a value of NOTIFY_SOCKET: a path, or an abstract name after an `@`."""
-    return f"\0{name[1:]}" if name.startswith("@") else name
 
 
 def _read_watchdog_s(environment: Mapping[str, str]) -> float:

@@ -20,10 +20,10 @@ from softfinger.server.socket_process.peer_socket import BoundEndpoint, KeyLock,
 
 QUEUED_MAX: Final = 1024
 QUEUED_BYTES_MAX: Final = 1 << 22
-"""Largest number of requests that wait, and of their bytes. Beyond them, requests that turn the force off are accepted
-up to twice this number, and others from clients without a request that waits."""
+"""Largest number of requests in the queue, and of their bytes. In a full queue, a request is accepted only from clients
+without another. For requests that turn the force off, the queue is full at twice the number, of any size."""
 CLIENTS_MAX: Final = 512
-"""Largest number of such clients."""
+"""Number of clients in a full queue above which no further client is accepted."""
 
 
 class RequestQueue:

@@ -6,6 +6,7 @@ import contextlib
 import os
 import resource
 import struct
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, cast
 
 import zmq
@@ -61,6 +62,20 @@ class SocketContext(NamedTuple):
 
     context: zmq.Context[Any]
     authenticator: ThreadAuthenticator | None
+
+
+def open_context(files: ExitStack, linger_ms: int, has_keys: bool) -> SocketContext:
+    """Return a context and, if keys are required, a running authenticator; closing `files` ends both."""
+    context: zmq.Context[Any] = zmq.Context()
+    files.callback(context.destroy, linger_ms)
+    if not has_keys:
+        return SocketContext(context, None)
+    from zmq.auth.thread import ThreadAuthenticator
+
+    authenticator = ThreadAuthenticator(context)
+    authenticator.start()
+    files.callback(authenticator.stop)
+    return SocketContext(context, authenticator)
 
 
 class PeerSocket:

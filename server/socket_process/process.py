@@ -18,10 +18,9 @@ import signal
 import socket
 import time
 from contextlib import ExitStack
-from typing import Any, Final
+from typing import Final
 
 import msgspec
-import zmq
 
 from softfinger.server.socket_process.channel import Channel, Message
 from softfinger.server.socket_process.channel_messages import (
@@ -44,6 +43,7 @@ from softfinger.server.socket_process.peer_socket import (
     PeerSocket,
     SocketContext,
     bound_resources,
+    open_context,
 )
 from softfinger.server.socket_process.subscribers import Subscribers
 from softfinger.server.socket_process.tick_messages import RowReader, TickEncoder
@@ -86,14 +86,10 @@ class SocketServer:
         self._latest: dict[bytes, bytes] = {}
         """Message of each topic that a new subscriber is sent at once."""
         self._ended = False
-        context: zmq.Context[Any] = zmq.Context()
-        files.callback(context.destroy, LINGER_MS)
-        socket_context = SocketContext(
-            context, _start_authenticator(context, files) if any(listener.key for listener in setup.listeners) else None
-        )
+        socket_context = open_context(files, LINGER_MS, any(listener.key for listener in setup.listeners))
         self._subscribers: list[Subscribers] = []
         self._clients: list[CommandClients] = []
-        self._receive()  # earlier messages are not sent to later subscribers, except the stored ones
+        self._receive()  # before there are subscribers: only messages that are stored for them have an effect
         for listener in setup.listeners:
             self._open(socket_context, listener, setup.backlog)
         self._peer_sockets: list[PeerSocket] = [
@@ -260,15 +256,6 @@ class SocketServer:
             self._rows.lost,
         )
         self._channel.send(Kind.FIGURES, body=msgspec.msgpack.encode(figures))  # always: it is a sign of life, too
-
-
-def _start_authenticator(context: zmq.Context[Any], files: ExitStack) -> Any:
-    from zmq.auth.thread import ThreadAuthenticator
-
-    authenticator = ThreadAuthenticator(context)
-    authenticator.start()
-    files.callback(authenticator.stop)
-    return authenticator
 
 
 def _make_lock(listener: ListeningSocket) -> KeyLock:

@@ -32,7 +32,7 @@ from softfinger.proxy.record import FIELDS, PATCHES, RECORD_SIZE
 from softfinger.proxy.records import Records
 from softfinger.server.keys import ClientKeys, check_keys
 from softfinger.server.wire import DEFAULT_ENDPOINT
-from softfinger.server.wire.client_requests import ask_for_keys, to_milliseconds
+from softfinger.server.wire.client_requests import ask_for_keys, connect, to_milliseconds
 from softfinger.server.wire.protocol import (
     CONTACT,
     FINGERS,
@@ -45,7 +45,7 @@ from softfinger.server.wire.protocol import (
 )
 
 _RECEIVE_BACKLOG: Final = 40960  # same as the publisher's: a short pause of the client loses nothing
-_LARGEST_FRAME: Final = 1 << 20  # ZeroMQ disconnects a peer that sends more, before it allocates
+_FRAME_MAX: Final = 1 << 20
 
 SAMPLES_MAX: Final = 1_000_000
 """Largest window: 17 minutes at 1 kHz, 2 GB."""
@@ -158,22 +158,10 @@ class Subscription(Closeable):
         self._wait_ms = -1
         context: zmq.Context[zmq.Socket[bytes]] = zmq.Context.instance()
         self._socket = context.socket(zmq.SUB)
-        self._socket.linger = 0
         self._socket.rcvhwm = _RECEIVE_BACKLOG
-        self._socket.maxmsgsize = _LARGEST_FRAME
-        self._socket.ipv6 = "[" in self.endpoint
-        if self._keys is not None:
-            self._keys.apply_to(self._socket)
         for topic in self.topics:
             self._socket.subscribe(topic)
-        try:
-            self._socket.connect(self.endpoint)
-        except zmq.ZMQError as error:
-            self.close()
-            raise ConfigError(
-                f"cannot connect to endpoint {self.endpoint!r}: {error}; it looks like {DEFAULT_ENDPOINT} or "
-                "ipc:///path"
-            ) from error
+        connect(self._socket, self.endpoint, self._keys, _FRAME_MAX)
 
     def __repr__(self) -> str:
         return f"<Subscription to {', '.join(self.topics)} on {self.endpoint}>"

@@ -14,6 +14,7 @@ import zmq
 from softfinger.config.arguments import describe_refusal, to_number
 from softfinger.config.errors import CommandRefused, ConfigError, HapticError
 from softfinger.config.schema import Telemetry, find_runtime_folder, make_commands_address
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.server.keys import ClientKeys
 from softfinger.server.socket_process.channel_messages import ANSWER_MAX, REQUEST_MAX
 from softfinger.server.socket_process.force_off import FORCE_OFF_METHODS
@@ -46,28 +47,31 @@ def find_default_commands() -> str:
     return make_commands_address(Telemetry().endpoint)
 
 
-def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
-    """Connect a DEALER to the commands of a daemon; if that fails, close it and raise ConfigError."""
-    socket.linger = 0
-    # A unique name that does not start with 0: an answer reaches it even if the publisher was restarted in between.
-    socket.routing_id = b"c" + uuid.uuid4().bytes
-    socket.maxmsgsize = ANSWER_MAX  # ZeroMQ disconnects a peer that sends more, before it allocates
-    socket.ipv6 = "[" in endpoint
+def connect(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None, size_max: int) -> None:
+    """Connect a client's socket to a server; if that fails, close it and raise ConfigError.
+
+    size_max  bytes of a frame; ZeroMQ disconnects a peer that sends more, before it allocates
+    """
+    socket.linger, socket.maxmsgsize, socket.ipv6 = 0, size_max, "[" in endpoint
     if keys is not None:
         keys.apply_to(socket)
-    try:
-        if endpoint.startswith(f"ipc://{find_runtime_folder()}/"):
-            check_runtime_folder()
-    except ConfigError:
-        socket.close()
-        raise
     try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:
         socket.close()
         raise ConfigError(
-            f"cannot connect to endpoint {endpoint!r}: {error}; it looks like ipc:///path or tcp://127.0.0.1:5556"
+            f"cannot connect to endpoint {endpoint!r}: {error}; endpoints look like ipc:///path or tcp://127.0.0.1:5555"
         ) from error
+
+
+def connect_commands(socket: zmq.Socket[Any], endpoint: str, keys: ClientKeys | None) -> None:
+    """Connect a DEALER to the commands of a daemon; if that fails, close it and raise ConfigError."""
+    # A unique name that does not start with 0: an answer reaches it even if the publisher was restarted in between.
+    socket.routing_id = b"c" + uuid.uuid4().bytes
+    with undo_on_error(socket.close):
+        if endpoint.startswith(f"ipc://{find_runtime_folder()}/"):
+            check_runtime_folder()
+    connect(socket, endpoint, keys, ANSWER_MAX)
 
 
 def encode_request(method: str, params: Any, wait_s: float) -> tuple[str, list[bytes]]:

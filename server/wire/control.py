@@ -35,7 +35,7 @@ from softfinger.server.wire.client_requests import (
     NoAnswer,
     R,
     choose_timeout,
-    connect,
+    connect_commands,
     decode_answer,
     encode_request,
     extract_result,
@@ -75,7 +75,7 @@ class Control(Closeable):
     def _connect(self) -> None:
         self._process = os.getpid()
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-        connect(self._socket, self.endpoint, self._keys)
+        connect_commands(self._socket, self.endpoint, self._keys)
 
     def _move(self, endpoint: str) -> None:
         """Connect to another endpoint, without keys."""
@@ -296,7 +296,7 @@ class AsyncControl:
     def _connect(self) -> None:
         self._process = os.getpid()
         self._socket: zmq.asyncio.Socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        connect(self._socket, self.endpoint, self._keys)
+        connect_commands(self._socket, self.endpoint, self._keys)
         self._waiting: dict[str, asyncio.Future[dict[str, Any]]] = {}
         self._reader: asyncio.Task[None] | None = None
 

@@ -16,7 +16,8 @@ from typing import Final, NamedTuple
 from softfinger.config.errors import AddressInUse, ConfigError
 from softfinger.config.files import check_owner
 from softfinger.config.schema import find_runtime_folder
-from softfinger.drivers.system.discovery import find_holder
+from softfinger.drivers.closeable import undo_on_error
+from softfinger.drivers.system.discovery import find_holder, read_process
 
 LISTEN_BACKLOG: Final = 128
 """Connections that the system queues until they are accepted."""
@@ -157,14 +158,11 @@ def _explain_refusal(endpoint: str, key: str) -> Iterator[None]:
 def _listen_tcp(address: str) -> socket.socket:
     host, _, port = address.rpartition(":")
     listener = socket.socket(socket.AF_INET6 if "[" in host else socket.AF_INET)
-    try:
+    with undo_on_error(listener.close):
         # A port with connections in TIME_WAIT is free; one with a listener is not.
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         host = {"localhost": "127.0.0.1", "*": "0.0.0.0"}.get(host, host.strip("[]"))
         listener.bind((host, 0 if port == "*" else int(port)))
-    except BaseException:
-        listener.close()
-        raise
     return listener
 
 
@@ -194,10 +192,8 @@ class SocketFile:
         # once.
         mask = os.umask(0o177 if self._private else 0o117)
         try:
-            listener.bind(str(self._path))
-        except BaseException:
-            listener.close()
-            raise
+            with undo_on_error(listener.close):
+                listener.bind(str(self._path))
         finally:
             os.umask(mask)
         self._status, self._folder_mode = self._path.lstat(), stat.S_IMODE(folder.stat().st_mode)
@@ -265,8 +261,7 @@ def _find_listener(port: int) -> str:
     for folder in Path("/proc").glob("[0-9]*/fd"):
         try:
             if any(os.readlink(entry) in sockets for entry in folder.iterdir()):
-                name = (folder.parent / "comm").read_text().strip()
-                return f"process {folder.parent.name} ({name})"
+                return str(read_process(int(folder.parent.name)))
         except OSError:  # it has exited, or belongs to another user
             continue
     return ""

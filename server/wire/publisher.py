@@ -21,13 +21,14 @@ from softfinger.config.schema import make_commands_address
 from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.jit.compiler.progress import COMPILE_PROGRESS
 from softfinger.proxy.record import RECORD_SIZE, list_columns
+from softfinger.server.loop.rings import Rings
 from softfinger.server.socket_process.channel_messages import Figures, Kind, ProcessSetup, StateInfo, TickParameters
 from softfinger.server.wire.events import RecordEvents, make_event, read_clock_s
 from softfinger.server.wire.health import HealthSummary, combine
 from softfinger.server.wire.native.memory import LAYOUT
-from softfinger.server.wire.native.relay import RecordSource, Relay
+from softfinger.server.wire.native.relay import Relay
 from softfinger.server.wire.native.switch import SharedSwitch
-from softfinger.server.wire.process_link import SILENT_MAX_S, RequestHandlers, Send, SocketProcess
+from softfinger.server.wire.process_link import SILENT_MAX_S, Send, SocketProcess
 from softfinger.server.wire.protocol import (
     EVENT,
     HEALTH,
@@ -114,12 +115,13 @@ class Publisher(Closeable):
             files = [self._relay.memory.reading, self._relay.bell, self._switch.file]
             for listener in self._endpoints.listeners:
                 files += [listener.fd, listener.renewals]
-            self._commands: Final = self._open_commands(files)
-            if self._commands is not None:
-                undo.callback(self._commands.close, 0.0)
+            self.commands: Final = self._open_commands(files)
+            """Process that receives commands; None if they are off."""
+            if self.commands is not None:
+                undo.callback(self.commands.close, 0.0)
             self._link: Final = SocketProcess(TELEMETRY, self._setup_telemetry, files, self._report_restart)
             undo.pop_all()
-        self._links: Final = [self._link] if self._commands is None else [self._link, self._commands]
+        self._links: Final = [self._link] if self.commands is None else [self._link, self.commands]
         self.tap: Final = self._relay.tap
         """Records passed on by the relay, for one thread of this process."""
 
@@ -187,9 +189,9 @@ class Publisher(Closeable):
     @property
     def figures(self) -> Figures:
         figures = self._link.figures
-        if self._commands is None:
+        if self.commands is None:
             return figures
-        return msgspec.structs.replace(figures, refused=figures.refused + self._commands.figures.refused)
+        return msgspec.structs.replace(figures, refused=figures.refused + self.commands.figures.refused)
 
     @property
     def has_failed(self) -> bool:
@@ -204,19 +206,9 @@ class Publisher(Closeable):
         """Bind sockets whose files were removed or replaced again; yield their endpoints (`Endpoints.rebind`)."""
         return self._endpoints.rebind()
 
-    def attach(self, source: RecordSource) -> None:
+    def attach(self, source: Rings) -> None:
         """Send the ticks of a servo from now on, until it ends. Call it once."""
         self._relay.attach(source)
-
-    def serve(self, handlers: RequestHandlers | None) -> None:
-        """Set the handlers of commands; None: commands are no longer answered. Needs an endpoint of commands."""
-        assert self._commands is not None
-        self._commands.serve(handlers)
-
-    def reply(self, client: bytes, body: bytes) -> None:
-        """Send a deferred answer to a command; from any thread."""
-        assert self._commands is not None
-        self._commands.reply(client, body)
 
     def set_state_info(self, state_info: StateInfo) -> None:
         """Set the contents of `state` that do not come from the tick."""

@@ -39,7 +39,7 @@ class Board:
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.clock = by_call(patch, board_exchange)
         patch.setattr(board_exchange.time, "monotonic_ns", lambda: OPENED)
-        patch.setattr(board_exchange, "poll_fd", self._poll)
+        patch.setattr(board_exchange, "wait_readable", self._wait_readable)
         for kernel in ("drain", "convert_sample", "must_withhold", "send_zero", "send_wrench", "wake"):
             patch.setattr(board_exchange, kernel, getattr(self, kernel))
         self.block = Block(BOARD, BOARD)
@@ -54,11 +54,11 @@ class Board:
         self.sample = np.zeros(base.SAMPLE_SIZE)
         board_exchange.init_exchange(self.block, FD, TIMES, misread_max=8)
 
-    def _poll(self, fds: Any, count: int, wait_ms: int) -> int:
-        assert (fds[0], count) == (self.word[BOARD.fd] | 1 << 32, 1)  # POLLIN is 1, in the upper half of a pollfd
+    def _wait_readable(self, fd: int, wait_ms: int, word: int) -> bool:
+        assert (fd, word) == (self.word[BOARD.fd], self.block.handle + 8 * BOARD.poll)
         self._record(f"wait {wait_ms}")
         self.clock.now += wait_ms * MS
-        return 0
+        return False
 
     def _record(self, call: Any) -> None:
         self.calls.append(call)

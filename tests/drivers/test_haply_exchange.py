@@ -34,9 +34,9 @@ class Device(FarEnd):
         self.word[AT.wake], self.word[AT.increment], self.word[AT.armed] = FD, 1, 1
 
     def state(self, x: float, y: float, z: float, buttons: float = 0.0) -> None:
-        pose = self.block.numbers(AT.pose, exchange.POSE_SIZE)
-        pose[:] = (x, y, z, *Q, buttons, float(self.clock.now))
-        self.word[AT.pose_sequence] += 2
+        pose = self.block.slot(AT.pose, exchange.POSE_SIZE)
+        pose.values[:] = (x, y, z, *Q, buttons, float(self.clock.now))
+        pose.sequence[0] += 2
 
     def write(self, *wrench: float, sends: bool = True) -> int:
         status = super().write(*wrench)
@@ -46,8 +46,9 @@ class Device(FarEnd):
 
     def last_wrench(self) -> list[float]:
         """Return the last wrench in the sequence lock: force (N), time (ns), number."""
-        assert self.word[AT.wrench_sequence] == 2 * self.word[AT.written]
-        return self.block.numbers(AT.wrench, exchange.WRENCH_SIZE).tolist()
+        wrench = self.block.slot(AT.wrench, exchange.WRENCH_SIZE)
+        assert wrench.sequence[0] == 2 * self.word[AT.written]
+        return wrench.values.tolist()
 
 
 @pytest.fixture
@@ -72,10 +73,10 @@ def test_the_last_state_is_a_pose_in_the_world(device: Device) -> None:
 def test_a_state_being_written_is_read_in_the_next_tick(device: Device) -> None:
     before = device.read()[1].tolist()
     device.state(1.0, 2.0, 3.0)
-    device.word[AT.pose_sequence] -= 1
+    device.word[AT.pose] -= 1
     status, sample = device.read()
     assert (status, sample.tolist()) == (STALE, before)
-    device.word[AT.pose_sequence] += 1
+    device.word[AT.pose] += 1
     assert device.read()[0] == OK
 
 

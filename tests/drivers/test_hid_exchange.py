@@ -36,7 +36,7 @@ class Board(FarEnd):
         )
         patch.setattr(exchange, "read_now", self._read)
         patch.setattr(exchange, "write_now", self.node.write)
-        patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
+        patch.setattr(board_exchange, "wait_readable", lambda *_: False)
         options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
         self.block = HidDevice(build(Options, options, "rig"), FD)._block
         self.block.fixed = [

@@ -94,12 +94,12 @@ class Library(FarEnd):
 
     def read(self) -> tuple[int, np.ndarray]:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
-        self.block.fixed = [(0, AT.reads), (AT.position, AT.read_pose), (AT.wrench_sequence, len(self.word))]
+        self.block.fixed = [(0, AT.reads), (AT.position, AT.read_pose), (AT.wrench, len(self.word))]
         return super().read()
 
     def write(self, *wrench: float) -> int:
         self.clock.room = {self.block.handle + 8 * AT.servo_timespec}
-        self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench_sequence), (AT.read_wrench, len(self.word))]
+        self.block.fixed = [(0, AT.reads), (AT.position, AT.wrench), (AT.read_wrench, len(self.word))]
         return super().write(*wrench)
 
     def displayed_force(self, parameter: int = FORCE) -> list[float]:
@@ -195,9 +195,9 @@ def test_a_wrench_being_written_is_used_in_the_next_frame(library: Library) -> N
     library.write(*PULL)
     library.frame()
     library.write(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
-    library.word[AT.wrench_sequence] -= 1
+    library.word[AT.wrench] -= 1
     assert library.displays(*PULL)
-    library.word[AT.wrench_sequence] += 1
+    library.word[AT.wrench] += 1
     assert library.displays(2.0, 2.0, 2.0, 0.0, 0.0, 0.0)
 
 
@@ -372,10 +372,10 @@ def test_an_error_ends_the_run_with_its_status(code: int, status: int, library: 
     assert library.calls[-2:] == ["get_error"] * 2
     assert [library.word[at] for at in (AT.status, AT.error, AT.internal)] == [status, code, 7]
     assert library.read()[0] == status and library.counts()["errors"] == 1
-    sequence = int(library.word[AT.pose_sequence])
+    sequence = int(library.word[AT.pose])
     library.frame()
     assert library.displayed_force() == [0.0, 0.0, 0.0] and library.output == 0
-    assert library.word[AT.pose_sequence] == sequence
+    assert library.word[AT.pose] == sequence
 
 
 def test_the_most_severe_error_is_reported(library: Library) -> None:
@@ -415,9 +415,9 @@ def test_a_frame_is_read_once_and_then_repeated(library: Library) -> None:
     assert (status, sample.tolist()) == (STALE, first)
     library.place += 1.0
     library.frame()
-    library.word[AT.pose_sequence] -= 1
+    library.word[AT.pose] -= 1
     assert library.read()[1].tolist() == first
-    library.word[AT.pose_sequence] += 1
+    library.word[AT.pose] += 1
     status, sample = library.read()
     assert status == OK and sample[0] != first[0]
     assert (library.counts()["reads"], library.counts()["repeated"]) == (5, 2)

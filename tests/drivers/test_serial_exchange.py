@@ -42,7 +42,7 @@ class Board(FarEnd):
         self.clock, self.port = by_call(patch, exchange, board_exchange, described_board, device), File(FD)
         patch.setattr(exchange, "read_waiting", self._read)
         patch.setattr(exchange, "write_now", self.port.write)
-        patch.setattr(board_exchange, "poll_fd", lambda *_: 0)
+        patch.setattr(board_exchange, "wait_readable", lambda *_: False)
         opened = SerialDevice.__new__(SerialDevice)  # without the board's answer to its opening
         opened._options = options
         self.block = opened._make_block(FD)

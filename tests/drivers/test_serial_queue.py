@@ -165,7 +165,7 @@ class Run:
         patch.setattr(exchange, "write_now", self.port.write)
         patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
         patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())
-        patch.setattr(board_exchange, "poll_fd", lambda *_: self.sleep(0.001))
+        patch.setattr(board_exchange, "wait_readable", lambda *_: self.sleep(0.001))
         patch.setattr(device, "count_unsent", self._unsent)
         patch.setattr(device, "time", SimpleNamespace(
             monotonic=lambda: self.clock.now * 1e-9, monotonic_ns=lambda: self.clock.now, sleep=self.sleep,

@@ -175,22 +175,20 @@ def _spacemouse(_: Path, data: bytes) -> None:
 def _frames(_: Path, data: bytes) -> None:
     """Numbers that a vendor's library returns as a pose: twelve from Force Dimension, a matrix from libHD."""
     from softfinger.drivers.block import Block
-    from softfinger.drivers.forcedimension import exchange as dhd
     from softfinger.drivers.forcedimension import exchange as forcedimension
     from softfinger.drivers.openhaptics import block as hd
     from softfinger.drivers.openhaptics import exchange as openhaptics
 
     numbers = np.frombuffer(data.ljust(160, b"\0")[:160], np.float64)
-    theirs = Block(dhd.AT)
-    theirs.numbers(dhd.AT.frame, 12)[:] = numbers[:12]
+    theirs = Block(forcedimension.AT)
+    theirs.numbers(forcedimension.AT.frame, 12)[:] = numbers[:12]
     sample = np.zeros(9)
     forcedimension._convert_pose(theirs.handle, sample)
     _turned_or_nothing(sample[3:7].tolist())
     theirs = Block(hd.AT)
     theirs.numbers(hd.AT.position, 3)[:] = numbers[:3]
     theirs.numbers(hd.AT.matrix, 16)[:] = numbers[3:19]
-    openhaptics._make_pose(theirs.handle, sample)
-    _turned_or_nothing(sample[3:7].tolist())
+    _turned_or_nothing(openhaptics._make_pose(theirs.handle)[3:7].tolist())
 
 
 def _turned_or_nothing(orientation: list[float]) -> None:

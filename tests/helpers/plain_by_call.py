@@ -17,6 +17,7 @@ from numba import config
 from numpy.typing import NDArray
 from references.rotation import rodrigues
 
+from softfinger.drivers import block
 from softfinger.drivers.base import SAMPLE_SIZE
 from softfinger.drivers.block import Block
 from softfinger.proxy.kernels.jit import pack, seqlock
@@ -110,7 +111,7 @@ def by_call(patch: pytest.MonkeyPatch, *modules: ModuleType) -> Clock:
     """Replace the clock, the blocks and all machine-code operations of these modules by plain Python."""
     clock = Clock()
     here = {"read_monotonic_ns": clock, "exchange_int64": exchange_int64, "unpack_at": unpack_at, "Block": GuardedBlock}
-    for module in modules:
+    for module in (*modules, block):
         for name, does in here.items():
             if hasattr(module, name):
                 patch.setattr(module, name, does)

@@ -303,7 +303,7 @@ def make_service(**force: Any) -> CommandService:
 
 
 def make_actions(**actions: Any) -> SimpleNamespace:
-    publisher = SimpleNamespace(set_preparing=None)
+    publisher = SimpleNamespace(set_preparing=None, commands=SimpleNamespace())
     return SimpleNamespace(**({"replace": None, "publisher": publisher, "event": lambda *_, **__: None} | actions))
 
 

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from softfinger.config import limits
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server import states as machine
-from softfinger.server.loop.force_switch import IS_ACTIVE, IS_REQUESTED, MAX_OFF_S, apply_switch, is_zero, make_switch
+from softfinger.server.loop.force_switch import MAX_OFF_S, apply_switch, is_zero, make_switch
 from softfinger.server.loop.guard import DISARMED, RAMPING, TOO_FAST, Guard, GuardState, guard_wrench
+from softfinger.server.loop.switch_fields import IS_ACTIVE, IS_REQUESTED
 from softfinger.server.services.arming import Arming
 from softfinger.server.services.force import SWITCH_TICKS, Force
 from softfinger.server.states import COMMANDED_REASON, NOT_ARMED_REASON, TOO_FAST_REASON, DaemonState, Trigger

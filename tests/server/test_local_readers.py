@@ -160,7 +160,7 @@ def test_a_sleeping_reader_wakes_at_a_tick_and_at_the_end():
         assert process.stdout.readline() == "open\n"
         shared.broadcast.slots[0] = 7.0
         shared.broadcast.head[0] = 1
-        memory.wake_readers_from_python(shared.broadcast)
+        memory.wake_readers(shared.broadcast)
         assert process.stdout.readline() == "[[7.0, 7.0, 7.0, 7.0]]\n"
         remove(shared)
         assert process.wait(WAIT_S) == 0

@@ -24,7 +24,7 @@ from softfinger.drivers.system import discovery
 from softfinger.drivers.system.discovery import SystemDevice
 from softfinger.server import app
 from softfinger.server.services import monitoring
-from softfinger.server.services.monitoring import HotplugDetector, HotplugMonitor
+from softfinger.server.services.monitoring import HotplugMonitor
 from softfinger.server.services.systemd import ServiceNotifier, _read_watchdog_s
 from softfinger.server.wire.client import subscribe
 
@@ -141,8 +141,8 @@ OMEGA = SystemDevice("usb", 0x1451, 0x0402, "USB device", "", "/dev/bus/usb/001/
 
 def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    hotplug_state = HotplugDetector(root)
-    assert hotplug_state.present == [OMEGA] and hotplug_state.changes() == []
+    hotplug_state = HotplugMonitor(print, root)
+    assert hotplug_state._present == [OMEGA] and hotplug_state.changes() == []
     name = plug_hid(root, 3, "0003:0000046D:0000C626")
     assert hotplug_state.changes() == [("attached", PUCK)] and hotplug_state.changes() == []
     shutil.rmtree(root / name)
@@ -162,8 +162,8 @@ def test_changes_are_reported_once(root: Path) -> None:  # noqa: F811
 def test_a_device_is_reported_when_its_ids_are_readable(at_start: bool, root: Path) -> None:  # noqa: F811
     if at_start:
         (root / discovery.USB / "1-1").mkdir()
-    usb = HotplugDetector(root)
-    assert usb.present == []
+    usb = HotplugMonitor(print, root)
+    assert usb._present == []
     (root / discovery.USB / "1-1").mkdir(exist_ok=True)
     plug_usb(root, "1-2", "2109", "2813", bDeviceClass="09")
     assert usb.changes() == []
@@ -173,8 +173,6 @@ def test_a_device_is_reported_when_its_ids_are_readable(at_start: bool, root: Pa
 
 def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> None:  # noqa: F811
     plug_usb(root, "1-1", "1451", "0402")
-    usb = HotplugDetector(root)
-    plug_hid(root, 3, "0003:0000046D:0000C626")
     events: list[tuple[str, Any]] = []
 
     def event(kind: str, name: str, **fields: Any) -> None:
@@ -183,7 +181,8 @@ def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> No
         if len(events) == 2:
             watch.closing.set()
 
-    watch = HotplugMonitor(usb, event)
+    watch = HotplugMonitor(event, root)
+    plug_hid(root, 3, "0003:0000046D:0000C626")
     watch.work()
     assert events == [("present", OMEGA.name), ("attached", PUCK.name)]
 
@@ -191,7 +190,7 @@ def test_a_device_plugged_in_before_the_first_poll_is_reported(root: Path) -> No
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, root: Path) -> Iterator[Path]:  # noqa: F811
     monkeypatch.setattr(monitoring, "HOTPLUG_PERIOD_S", 0.02)
-    monkeypatch.setattr(app, "HotplugDetector", lambda: HotplugDetector(root))
+    monkeypatch.setattr(app, "HotplugMonitor", lambda event: HotplugMonitor(event, root))
     return root
 
 

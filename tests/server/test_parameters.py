@@ -13,11 +13,13 @@ from softfinger.config.load import build, describe, load_rig
 from softfinger.config.schema import Scene
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.proxy.record import AT
+from softfinger.server.loop.force_switch import make_switch
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import rendering
 from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, SceneReplacement
+from softfinger.server.states import StateMachine
 
 pytestmark = pytest.mark.plain
 
@@ -58,7 +60,8 @@ def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeRendering]:
     monkeypatch.setattr(rendering, "open_finger_devices", lambda scene, rig: (AbsentDevice(),))
 
     def make(scene: Scene) -> Rendering:
-        renderings.append(Rendering(load_rig("replay"), scene, None, lambda: lambda: None))
+        ends = lambda: lambda: None  # noqa: E731
+        renderings.append(Rendering(load_rig("replay"), scene, None, ends, None, StateMachine(), make_switch()))
         return renderings[-1]
 
     yield make

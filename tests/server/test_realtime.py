@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from helpers.programs import run_program
 
-from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED, list_refused_settings
+from softfinger.server.loop.realtime import LATENCY_DEVICE, REQUIRED
 
-pytestmark = [pytest.mark.real_time, pytest.mark.skipif(sys.platform != "linux", reason="Linux calls")]
+pytestmark = pytest.mark.real_time
 
 # Runs in a child: reduces privileges as argv[1] specifies, applies the settings in a thread and prints the kernel's
 # values.
@@ -117,8 +117,6 @@ def run_child(mode: str = "auto", **changes: Any) -> dict[str, Any]:
 
 def has_capabilities(*bits: int) -> bool:
     """Return True if this process has these capabilities."""
-    if sys.platform != "linux":
-        return False
     with open("/proc/self/status", encoding="ascii") as file:
         line = next(line for line in file if line.startswith("CapEff:"))
     return all(int(line.split()[1], 16) >> bit & 1 for bit in bits)
@@ -245,10 +243,3 @@ def test_a_missing_processor_is_refused() -> None:
     setting = run_child(cpu=1023)["by_name"]["affinity"]
     assert not setting["ok"] and "1023" in setting["detail"]
     assert str(min(os.sched_getaffinity(0))) in setting["advice"]
-
-
-def test_other_systems_are_refused_by_name() -> None:
-    settings = list_refused_settings("darwin", cpu=0)
-    assert [s.name for s in settings] == ["timer_slack", "sched_fifo", "mlockall", "cpu_dma_latency", "affinity"]
-    assert not any(s.ok for s in settings) and all("darwin" in s.detail and s.advice for s in settings)
-    assert "affinity" not in [s.name for s in list_refused_settings("darwin", cpu=None)]

@@ -130,10 +130,10 @@ def test_requests_are_answered_in_their_order(tmp_path: Path) -> None:
             received = list[bytes]()
             client.send_multipart([b"", b"before"])
             assert not client.poll(100)  # it has arrived
-            daemon.publisher.serve(
+            daemon.publisher.commands.serve(
                 RequestHandlers(lambda _, body, received=received: received.append(body), lambda: None)
             )
             client.send_multipart([b"", b"after"])
             assert eventually(lambda received=received: len(received) == 2)
-            daemon.publisher.serve(None)
+            daemon.publisher.commands.serve(None)
             assert received == [b"before", b"after"]

@@ -68,8 +68,11 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
         files = SimpleNamespace(close=lambda: None)
         bound = SimpleNamespace(endpoint="tcp://127.0.0.1:1", listener=broken, files=files)
         service = MetricsService(bound, counts, event)
+    elif name == "hotplug":
+        service = HotplugMonitor(event)
+        service._known = broken
     else:
-        service = HotplugMonitor(broken, event) if name == "hotplug" else WorldPublisher(broken, print, event)
+        service = WorldPublisher(broken, print, event)
     service.start()
     assert came.wait(WAIT_S)
     service.stop()
@@ -92,7 +95,7 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
     rendering = SimpleNamespace(rig=rig, force=Failing())
     actions = SimpleNamespace(
         replace=print,
-        publisher=SimpleNamespace(set_preparing=print, serve=served.append),
+        publisher=SimpleNamespace(set_preparing=print, commands=SimpleNamespace(serve=served.append)),
         fail=ended.append,
         event=lambda *words, **more: events.append((words, more)),
     )

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import carray, types
 from numba.core.cgutils import get_item_pointer, raw_memcpy
 from numba.extending import intrinsic
+from numba.np.arrayobj import populate_array
 
 from softfinger.proxy.kernels.jit.decorators import PLAIN
 
@@ -39,6 +40,22 @@ def _pointer(element: Any, in_c: Any) -> Any:
         return ctypes.cast(int(address), ctypes.POINTER(in_c))
 
     return typed
+
+
+def _array_of(element: Any) -> Any:
+    def array(typing_context: Any, address: Any, size: Any) -> Any:
+        kind = types.Array(element, 1, "C")
+
+        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            made = context.make_array(kind)(context, builder)
+            item = ir.Constant(arguments[1].type, element.bitwidth // 8)
+            data = builder.inttoptr(arguments[0], made.data.type)
+            populate_array(made, data, shape=[arguments[1]], strides=[item], itemsize=item, meminfo=None)
+            return made._getvalue()
+
+        return kind(types.int64, types.intp), build
+
+    return array
 
 
 def _exchange(typing_context: Any, address: Any, value: Any) -> Any:
@@ -117,6 +134,16 @@ float32_at: Any = _pointer(types.float32, ctypes.c_float)
 
 uint8_at: Any = _pointer(types.uint8, ctypes.c_uint8)
 """uint8_at(address: int64) -> pointer to uint8."""
+
+float64_array_at: Any = (
+    (lambda address, size: carray(float64_at(address), size)) if PLAIN else intrinsic(_array_of(types.float64))
+)
+"""float64_array_at(address, size) -> array (size,) float64. A kernel cannot return the array of numba's `carray`."""
+
+int64_array_at: Any = (
+    (lambda address, size: carray(int64_at(address), size)) if PLAIN else intrinsic(_array_of(types.int64))
+)
+"""int64_array_at(address, size) -> array (size,) int64."""
 
 exchange_int64: Any = intrinsic(_exchange)
 """exchange_int64(address: int64, value: int64) -> previous value; atomic, sequentially consistent."""

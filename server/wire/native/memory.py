@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from softfinger.config.errors import ConfigError
 from softfinger.drivers.closeable import Closeable
 from softfinger.proxy.kernels.jit.atomics import load_acquire, load_relaxed, store_release
-from softfinger.proxy.kernels.jit.decorators import entry, jit
+from softfinger.proxy.kernels.jit.decorators import entry
 from softfinger.proxy.kernels.jit.memory import address_of
 from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows
 
@@ -145,7 +145,7 @@ def _as_broadcast(words: NDArray[np.int64]) -> Broadcast:
 def remove(memory: RingMemory) -> None:
     """Notify readers of the end, and remove the name; readers that have mapped the memory can still read it."""
     memory.words[_ENDED] = 1
-    wake_readers_from_python(memory.broadcast)
+    wake_readers(memory.broadcast)
     release(memory)
 
 
@@ -170,16 +170,11 @@ def remove_stale_files() -> None:
                 os.close(fd)
 
 
-@jit
+@entry
 def wake_readers(broadcast: Broadcast) -> None:
     """Wake all readers that sleep on a ring buffer, after rows were written to it."""
     store_release(broadcast.head, _BELL, load_relaxed(broadcast.head, _BELL) + 1)
     _syscall(_FUTEX, address_of(broadcast.head, _BELL), _WAKE, _ALL, 0, 0, 0)
-
-
-@entry
-def wake_readers_from_python(broadcast: Broadcast) -> None:
-    wake_readers(broadcast)
 
 
 @entry

@@ -11,9 +11,8 @@ import logging
 import os
 import threading
 import weakref
-from collections.abc import Iterator
 from contextlib import ExitStack
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple
 
 import numba
 import numpy as np
@@ -23,10 +22,10 @@ from softfinger.proxy.kernels.jit.atomics import load_acquire, store_release
 from softfinger.proxy.kernels.jit.decorators import entry, jit
 from softfinger.proxy.record import AT, RECORD_SIZE
 from softfinger.server.loop.eventfd import poll_eventfd, reset_eventfd, wait_for_eventfd, wake_eventfd
-from softfinger.server.loop.rings import Feed, make_ring, take
+from softfinger.server.loop.rings import Feed, Rings, make_ring, take
 from softfinger.server.progress import report_compilation
 from softfinger.server.wire.native.broadcast import Broadcast, make_read_position, read_rows, write_row
-from softfinger.server.wire.native.memory import make_memory, release, remove, wake_readers, wake_readers_from_python
+from softfinger.server.wire.native.memory import make_memory, release, remove, wake_readers
 
 log: Final = logging.getLogger(__name__)
 
@@ -46,13 +45,6 @@ JOIN_S: Final = 1.0
 # Indices in `RelayState.words`.
 _CALLS: Final = 0  # number of requests to return to Python
 _TICK: Final = 1  # latest tick passed on
-
-
-class RecordSource(Protocol):
-    """Source of records: the rings of a servo."""
-
-    def iter_feeds(self) -> Iterator[Feed]:
-        """Yield each ring; the next one is requested when the previous one is complete."""
 
 
 class RelayState(NamedTuple):
@@ -201,7 +193,7 @@ class Relay:
             self._idle_feed: Final = Feed(make_ring(1, width), np.zeros(8, np.int64), idle)
             """Ring on which the thread sleeps while there is no servo."""
             self._asleep_on = self._idle_feed.wake_fd
-            self._source: RecordSource | None = None
+            self._source: Rings | None = None
             self._finished, self._failed, self._closing = (threading.Event() for _ in range(3))
             self.tap: Final = Tap(self._state.readers, bell, self._finished, self._failed)
             self._compile()
@@ -217,7 +209,7 @@ class Relay:
     def _compile(self) -> None:
         kernels: list[tuple[Any, tuple[Any, ...]]] = [
             (serve, (self._state, self._idle_feed, 0, 0, self._file)),
-            (wake_readers_from_python, (self._state.readers,)),
+            (wake_readers, (self._state.readers,)),
         ]
         with report_compilation("kernels of the relay"):
             for kernel, arguments in kernels:
@@ -236,7 +228,7 @@ class Relay:
     def native_id(self) -> int | None:
         return self._thread.native_id
 
-    def attach(self, source: RecordSource) -> None:
+    def attach(self, source: Rings) -> None:
         """Pass on the records of a servo from now on, until it ends. Call it once."""
         self._source = source
         self._call()

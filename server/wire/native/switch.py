@@ -1,12 +1,14 @@
-"""Force switch in memory that is shared with the publisher process."""
+"""Force switch in memory that is shared with the process of commands."""
 
 from __future__ import annotations
 
 import os
+from functools import partial
 from typing import Final
 
 import msgspec
 
+from softfinger.drivers.closeable import undo_on_error
 from softfinger.server.loop.force_switch import UNREACHABLE_MAX_NS, make_switch
 from softfinger.server.loop.switch_fields import STOPS_HANDLED, STOPS_RECEIVED, UNREACHABLE_NS
 from softfinger.server.socket_process.force_off import takes_force_off
@@ -24,12 +26,9 @@ class SharedSwitch:
 
     def __init__(self) -> None:
         self.file: Final = os.memfd_create("softfinger-switch")
-        try:
+        with undo_on_error(partial(os.close, self.file)):
             os.ftruncate(self.file, PAGE_BYTES)
             self.words: Final = make_switch(map_file(self.file, PAGE_BYTES))
-        except BaseException:
-            os.close(self.file)
-            raise
 
     def count_handled(self, body: bytes) -> None:
         """Count a client's request that was handled or declined, if it turns the force off."""
