@@ -17,7 +17,7 @@ import termios
 import threading
 import time
 from contextlib import suppress
-from typing import Annotated, Any, Final, Literal, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -33,7 +33,6 @@ from softfinger.drivers.block import Block
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import (
     AT,
-    COUNTERS,
     POSE_SIZE,
     WRENCH_NUMBER,
     WRENCH_SIZE,
@@ -42,7 +41,7 @@ from softfinger.drivers.haply.exchange import (
 from softfinger.drivers.mounting import Mounting
 from softfinger.drivers.serial.port import set_raw
 from softfinger.drivers.system.nodes import open_locked
-from softfinger.proxy.kernels.jit.seqlock import Slot, publish, read
+from softfinger.proxy.kernels.jit.seqlock import publish, read
 from softfinger.proxy.kernels.model import Quaternion, Vec3
 from softfinger.proxy.kernels.numerics.rotations import about_x, about_y, about_z, exp, multiply, rotate
 from softfinger.proxy.kernels.numerics.vec3 import add, scale
@@ -157,8 +156,8 @@ class LeaderArm(Device):
         name = f"leader arm of {len(options.joint)} {options.protocol} servos at {options.path}"
         actuated_dof = 0 if options.force_joint is None else 1
         self.info = make_info(options, name, sensed_dof=min(6, len(options.joint)), actuated_dof=actuated_dof)
-        self._poses = self._slot(AT.pose_sequence, AT.pose, POSE_SIZE)
-        self._wrenches = self._slot(AT.wrench_sequence, AT.wrench, WRENCH_SIZE)
+        self._poses = self._block.slot(AT.pose, POSE_SIZE)
+        self._wrenches = self._block.slot(AT.wrench, WRENCH_SIZE)
         self._wrench, self._copy, self._sequence, self._sent = np.zeros(WRENCH_SIZE), np.zeros(WRENCH_SIZE), 0, 0
         read(self._wrenches, -1, self._copy)  # compile it before the thread runs
         self._is_closing = threading.Event()
@@ -222,9 +221,6 @@ class LeaderArm(Device):
     def is_settled(self) -> bool:
         """Return True if the servo has confirmed the latest wrench, or no longer can."""
         return bool(self._block.word[AT.answered] >= self._block.word[AT.written]) or not self._thread.is_alive()
-
-    def _slot(self, sequence: int, values: int, size: int) -> Any:
-        return Slot(self._block.word[sequence : sequence + COUNTERS], self._block.numbers(values, size))
 
     def _close_files(self) -> None:
         wake, port = int(self._block.word[AT.wake]), self._fd

@@ -26,7 +26,6 @@ from softfinger.server.services.monitoring import (
     DEVICE_WARNING,
     SWAPPED,
     DeviceWarningMonitor,
-    HotplugDetector,
     HotplugMonitor,
     SwapMonitor,
 )
@@ -181,8 +180,8 @@ def test_checks_continue_after_a_lack_of_files(monkeypatch: pytest.MonkeyPatch, 
         raise no_files
 
     plug_usb(root, "1-1", "1451", "0402")
-    hotplug, status = HotplugDetector(root), root / "nothing"
-    swap, usb = SwapMonitor(event, status), HotplugMonitor(hotplug, event)
+    status = root / "nothing"
+    swap, usb = SwapMonitor(event, status), HotplugMonitor(event, root)
     swap._period_s = usb._period_s = 0.01
     monkeypatch.setattr(os, "listdir", refuse)
     for watch in (swap, usb):
