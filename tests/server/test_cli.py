@@ -396,6 +396,7 @@ def test_a_low_limit_of_open_files_is_reported(words):
 def test_bench_of_the_step_prints_json(tmp_path, monkeypatch):
     from softfinger.tools.bench import step
 
+    monkeypatch.setattr("softfinger.server.loop.servo_thread.PLAIN", False)  # only the measured times are different
     monkeypatch.setattr(step, "ROUNDS", 2)
     poses = step.make_touching_poses
     monkeypatch.setattr(step, "make_touching_poses", lambda scene: poses(scene, 50))

@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,19 +25,29 @@ TURN = 5
 """Ticks that a thread of a far end may wait for the scheduler."""
 
 
+def iter_fault_names(path: Path) -> Iterator[str]:
+    """Yield the names of the events of kind `fault` that a module publishes, directly or by a PeriodicCheck."""
+    tree = ast.parse(path.read_text("utf-8"))
+    named: list[ast.expr] = []
+    for part in ast.walk(tree):
+        is_check = isinstance(part, ast.ClassDef) and "PeriodicCheck" in map(ast.unparse, part.bases)
+        for node in ast.walk(part) if is_check else [part]:
+            if isinstance(node, ast.Call) and len(node.args) > 1:
+                if is_check and ast.unparse(node.func) == "super().__init__":
+                    named.append(node.args[0])
+                elif getattr(node.args[0], "value", "") == "fault":
+                    named.append(node.args[1])
+    for name in named:
+        if isinstance(name, ast.Constant):
+            yield name.value
+        elif isinstance(name, ast.Name):
+            module = ".".join(("softfinger", *path.relative_to(ROOT).with_suffix("").parts))
+            yield getattr(importlib.import_module(module), name.id)
+
+
 def test_each_published_fault_has_a_row():
     rows = {event for hazard in HAZARDS for event in hazard.events}
-    names = set()  # of all events of kind `fault` that the server publishes
-    for path in sorted((ROOT / "server").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if not isinstance(node, ast.Call) or len(node.args) < 2:
-                continue
-            kind, name = node.args[:2]
-            if isinstance(kind, ast.Constant) and kind.value == "fault" and isinstance(name, ast.Constant | ast.Name):
-                module = ".".join(("softfinger", *path.relative_to(ROOT).with_suffix("").parts))
-                constant = isinstance(name, ast.Constant)
-                names.add(name.value if constant else getattr(importlib.import_module(module), name.id))
-    faults = {f"fault {name}" for name in names}
+    faults = {f"fault {name}" for path in sorted((ROOT / "server").rglob("*.py")) for name in iter_fault_names(path)}
     assert len(faults) >= 9
     guards = {f"guard {name}" for name in {*GUARD_NAMES} - ORDINARY}
     assert rows == faults | guards | {"servo missed", "command heartbeat_missed", FAILED}
