@@ -84,11 +84,8 @@ def rest_on_curved(
     tolerance, hollow = (SETTLED_STEP * radius) ** 2, is_hollow(shape)
     rounds = MAX_ROUNDS if deflection == (0.0, 0.0, 0.0) else MAX_SLIDING_ROUNDS
     for _ in range(rounds):
-        if hollow:
-            goal = vec3.add(probe, vec3.reject(deflection, normal))
-        else:
-            goal = vec3.add_scaled(displaced, vec3.dot(vec3.sub(center, displaced), normal), normal)
-        _, point, normal = find_closest_on(shape, pose, goal)
+        height = -vec3.dot(deflection, normal) if hollow else vec3.dot(vec3.sub(center, displaced), normal)
+        _, point, normal = find_closest_on(shape, pose, vec3.add_scaled(displaced, height, normal))
         landing = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(landing, center)
         center = landing
