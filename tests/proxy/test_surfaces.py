@@ -368,6 +368,24 @@ def test_a_slip_ends_at_the_point_nearest_to_the_displaced_probe(shape: Any) -> 
     assert settled > 80
 
 
+@pytest.mark.parametrize("depth", [0.06, 0.09, 0.0999])
+@pytest.mark.parametrize(
+    ("shape", "point", "distance"),
+    [(model.Sphere(0.7, 1.0), (0.0, 0.0, 0.7), 0.7), (model.Box((0.5, 0.9, 0.3)), (0.5, 0.2, 0.3), 0.0)],
+)
+def test_a_slip_of_a_deep_contact_turns_the_normal_no_faster(
+    shape: Any, point: Triple, distance: float, depth: float
+) -> None:
+    """By atan(s / (R + r / 2)) for a slip s, as at a depth of r / 2: an edge (R = 0) would have no limit."""
+    r, slip = 0.1, 0.02
+    normal = np.array([1.0, 0.0, 1.0]) / math.sqrt(2.0) if distance == 0.0 else np.array([0.0, 0.0, 1.0])
+    start, across = point + r * normal, np.cross(normal, (0.0, 1.0, 0.0))
+    pose = model.Pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
+    lengths = triple(start - depth * normal), triple(start), triple(slip * across), triple(normal)
+    _, up, _ = rest_on(shape, pose, r, *lengths)
+    assert math.acos(float(np.dot(up, normal))) == pytest.approx(math.atan(slip / (distance + 0.5 * r)), rel=1e-12)
+
+
 @every_shape
 def test_results_scale_with_the_size(shape: Any) -> None:
     """Scaling by powers of two, from about 1e-5 to 1e3 m, scales all results exactly: no length is built in."""

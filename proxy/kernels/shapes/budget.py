@@ -26,5 +26,5 @@ SETTLED_STEP = 1e-13
 
 
 DEEP_SHARE = 0.5
-"""Depth of the probe, as a share of the fingertip's radius, up to which a contact with several objects is stable: half
-the smallest radius of curvature of the surface on which the proxy moves, that at an edge."""
+"""Depth of the probe, as a share of the fingertip's radius, up to which a contact with friction is stable: half the
+smallest radius of curvature of the surface on which the proxy moves, that at an edge."""

@@ -4,7 +4,12 @@ from typing import Any
 
 from softfinger.proxy.kernels.contact.rest.active_set import make_active_set
 from softfinger.proxy.kernels.contact.rest.cutting_planes import REST_STEP, Rest, find_facet_under, solve_tangent_planes
-from softfinger.proxy.kernels.contact.rest.one_object import MAX_ROUNDS, MAX_SLIDING_ROUNDS, SAME_SIDE_COSINE
+from softfinger.proxy.kernels.contact.rest.one_object import (
+    MAX_ROUNDS,
+    MAX_SLIDING_ROUNDS,
+    SAME_SIDE_COSINE,
+    displace_probe,
+)
 from softfinger.proxy.kernels.contact.rolling import OffsetPoint, Roll
 from softfinger.proxy.kernels.contact.rolling.on_objects import roll_flat_on
 from softfinger.proxy.kernels.jit.decorators import jit
@@ -101,7 +106,7 @@ def slide_over_facets(
     Return its centre (3,) m, the facets that it touches, and True if it is at rest. Without a deflection, further steps
     may be necessary.
     """
-    displaced = vec3.add(probe, deflection)
+    displaced = displace_probe(probe, deflection, center, normal, radius)
     foot = find_facet_under(objects, index, displaced)
     _, point, foot_normal, _ = find_closest_within(objects, foot, displaced, BUDGET)
     if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:

@@ -11,7 +11,7 @@ from softfinger.proxy.kernels.query.container import find_object
 from softfinger.proxy.kernels.query.objects import find_closest_on
 from softfinger.proxy.kernels.shapes import is_hollow, rest_on
 from softfinger.proxy.kernels.shapes.any_shape import UP
-from softfinger.proxy.kernels.shapes.budget import SETTLED_STEP
+from softfinger.proxy.kernels.shapes.budget import DEEP_SHARE, SETTLED_STEP
 from softfinger.proxy.kernels.shapes.kernel_table import REST, SLOTS, KernelSlot, call_kernel
 
 MAX_ROUNDS = 10
@@ -65,11 +65,23 @@ def rest_on_plane(
     return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
 
+@jit
+def displace_probe(probe: Vec3, deflection: Vec3, center: Vec3, normal: Vec3, radius: float) -> Vec3:
+    """Return the probe displaced by the deflection and, if it is deeper than `DEEP_SHARE`, raised to that depth.
+
+    The point nearest to a deeper probe is not stable with friction, see `settle_after_friction`.
+    """
+    displaced, depth = vec3.add(probe, deflection), vec3.dot(vec3.sub(center, probe), normal)
+    if deflection == (0.0, 0.0, 0.0) or depth <= DEEP_SHARE * radius:
+        return displaced
+    return vec3.add_scaled(displaced, depth - DEEP_SHARE * radius, normal)
+
+
 @rest_on.otherwise
 def rest_on_curved(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Return the position nearest to the displaced probe, the probe plus the deflection.
+    """Return the position nearest to the displaced probe (`displace_probe`; in a hollow it is not raised).
 
     If it is on another side of the object, the proxy moves round the object: project the displaced probe onto the
     tangent plane, that point onto the surface, and repeat from there. In a hollow the probe itself is displaced by the
@@ -77,11 +89,12 @@ def rest_on_curved(
     the nearest point from it is Newton's step. From the tangent plane, a depth greater than the radius of the surface
     that the centre moves on would diverge.
     """
-    displaced = vec3.add(probe, deflection)
+    hollow, displaced = is_hollow(shape), vec3.add(probe, deflection)
+    if not hollow:
+        displaced = displace_probe(probe, deflection, center, normal, radius)
     _, point, foot_normal = find_closest_on(shape, pose, displaced)
     if vec3.dot(foot_normal, normal) > SAME_SIDE_COSINE:
         return vec3.add_scaled(point, radius, foot_normal), foot_normal, 0.0
-    tolerance, hollow = (SETTLED_STEP * radius) ** 2, is_hollow(shape)
     rounds = MAX_ROUNDS if deflection == (0.0, 0.0, 0.0) else MAX_SLIDING_ROUNDS
     for _ in range(rounds):
         height = -vec3.dot(deflection, normal) if hollow else vec3.dot(vec3.sub(center, displaced), normal)
@@ -89,6 +102,6 @@ def rest_on_curved(
         landing = vec3.add_scaled(point, radius, normal)
         step = vec3.sub(landing, center)
         center = landing
-        if vec3.dot(step, step) <= tolerance:
+        if vec3.dot(step, step) <= (SETTLED_STEP * radius) ** 2:
             break
     return center, normal, 0.0
