@@ -145,6 +145,9 @@ def settle_on_facets(objects: Any, radius: float, probe: Vec3, anchor: Vec3, act
     center, support, is_late, budget = settle_by_planes(objects, radius, probe, anchor, active, budget)
     if support[0].object_index < 0.0:
         support = make_single_constraint(active[0].object_index, active[0].normal, 0.0)
+    elif are_all_smooth(objects, support) and not is_late:
+        # The planes may be from before its last motion; those of facets are replaced by `find_constraints_at_rest`.
+        _, support, _, budget = project_until_rest(objects, radius, probe, center, support, 1, budget)
     return Rest(center, sort_by_load(objects, support), is_late, budget)
 
 
