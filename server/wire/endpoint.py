@@ -188,14 +188,10 @@ class SocketFile:
         self._lock_file = _claim(self._path, self._endpoint, self.key)
         self._path.unlink(missing_ok=True)  # left by a server that has exited: this process has the lock
         listener = socket.socket(socket.AF_UNIX)
-        # Only the user, and the group unless `private`, may connect. The mask is the whole process's: restore it at
-        # once.
-        mask = os.umask(0o177 if self._private else 0o117)
-        try:
-            with undo_on_error(listener.close):
-                listener.bind(str(self._path))
-        finally:
-            os.umask(mask)
+        with undo_on_error(listener.close):
+            listener.bind(str(self._path))
+            # Only the user, and the group unless `private`, may connect; nobody can before the caller listens.
+            os.chmod(self._path, 0o600 if self._private else 0o660)
         self._status, self._folder_mode = self._path.lstat(), stat.S_IMODE(folder.stat().st_mode)
         return listener
 
