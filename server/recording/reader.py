@@ -10,10 +10,11 @@ import io
 import json
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Any, Final, NamedTuple
 
 import numpy as np
@@ -100,7 +101,7 @@ class End(NamedTuple):
 
     topics: list[Topic]
     cut: str
-    unread: dict[str, tuple[int, int]] = {}  # noqa: RUF012 - not changed
+    unread: Mapping[str, tuple[int, int]] = MappingProxyType({})
 
 
 def explain_no_tick(end: End) -> str:
@@ -199,12 +200,11 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
         raise RecordingError(f"{path}: is empty")
     cut = "it has no index at its end: it is still being written, its writer was killed, or the disk was full"
     damage: list[str] = []
-    skipped = False
+    known = 0
+    """Number of damaged parts before the latest readable one."""
     summary = cache(partial(_read_summary, file))
 
     def skip_damage(error: Exception) -> None:
-        nonlocal skipped
-        skipped = True
         damage.append(f"a part is damaged, and its ticks are missing: {type(error).__name__}: {str(error)[:120]}")
         for record in summary():  # the part may have declared channels
             if isinstance(record, Schema):
@@ -215,7 +215,7 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
     try:
         for outer in iter_mcap_records(file, skip_damage):
             messages_by_channel: dict[int, list[bytes]] = {}
-            skipped = skipped and not isinstance(outer, Chunk)
+            known = len(damage) if isinstance(outer, Chunk) else known
             for record in _unpack_chunk(outer.data) if isinstance(outer, Chunk) else (outer,):
                 if isinstance(record, tuple):
                     messages_by_channel.setdefault(record[0], []).append(record[1])
@@ -224,15 +224,13 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
                 elif isinstance(record, Schema):
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
-                    schema = schemas.get(record.schema_id)
-                    channels.setdefault(record.id, _Channel(record.topic, schema))
-                elif isinstance(record, MessageIndex) and skipped and record.channel_id in channels:
+                    channels.setdefault(record.id, _Channel(record.topic, schemas.get(record.schema_id)))
+                elif isinstance(record, MessageIndex) and len(damage) > known and record.channel_id in channels:
                     channels[record.channel_id].count_unread(len(record.records))
                 elif isinstance(record, Metadata) and notes < METADATA_MAX:
                     notes += 1
                     try:
-                        table = record.metadata
-                        yield Note(record.name, json.loads(table[JSON]) if set(table) == {JSON} else dict(table))
+                        yield _make_note(record)
                     except ValueError as error:
                         damage.append(f"metadata '{record.name[:40]}' is damaged: {error}")
                 elif isinstance(record, Footer) and record.summary_start:
@@ -251,11 +249,19 @@ def _read_contents(path: Path, file: IO[bytes]) -> Iterator[TickBlock | Event | 
         cut = damage[0] + (f", and {len(damage) - 1} more" if len(damage) > 1 else "")
         if not channels:
             raise RecordingError(f"{path}: not a readable MCAP recording: {cut}")
-    topics = [Topic(item.topic, item.schema.name if item.schema else "", item.messages) for item in channels.values()]
-    unread = {
-        item.finger: (item.unread_before, item.unread_after) for item in channels.values() if item.finger is not None
-    }
-    yield End(topics, cut, unread)
+    yield _make_end(channels.values(), cut)
+
+
+def _make_note(record: Any) -> Note:
+    """Return the value of a metadata record; raises ValueError if it is damaged."""
+    table = record.metadata
+    return Note(record.name, json.loads(table[JSON]) if set(table) == {JSON} else dict(table))
+
+
+def _make_end(channels: Collection[_Channel], cut: str) -> End:
+    topics = [Topic(item.topic, item.schema.name if item.schema else "", item.messages) for item in channels]
+    unread = {item.finger: (item.unread_before, item.unread_after) for item in channels if item.finger is not None}
+    return End(topics, cut, unread)
 
 
 def _read_summary(file: IO[bytes]) -> list[Any]:
