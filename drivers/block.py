@@ -142,16 +142,16 @@ class Block:
         self._arrays: dict[int, NDArray[Any]] = {}
 
     def numbers(self, at: int, count: int) -> NDArray[np.float64]:
-        """Return a view of `count` float64 from word `at`."""
+        """Return a view of the `count` float64 that start at word `at`."""
         return self.word[at : at + count].view(np.float64)
 
     def slot(self, at: int, count: int) -> Slot:
-        """Return the sequence lock of `count` float64 at word `at`."""
+        """Return the sequence lock that starts at word `at` and protects `count` float64."""
         values = at + SEQUENCE_WORDS
         return Slot(self.word[at:values], self.numbers(values, count))
 
     def raw_bytes(self, at: int, count: int) -> NDArray[np.uint8]:
-        """Return a view of `count` bytes from word `at`."""
+        """Return a view of the `count` bytes that start at word `at`."""
         return self.word[at : at + -(-count // 8)].view(np.uint8)[:count]
 
     def set_address(self, at: int, array: NDArray[Any]) -> None:

@@ -222,7 +222,7 @@ class Forwarder:
         self._files.callback(peers.close)
 
     def run(self, ended: Callable[[], bool], show: Callable[[str], None] | None = None) -> None:
-        """Forward until `ended` returns True; call `show` with the counts once a second."""
+        """Forward messages until `ended` returns True, and pass the counts to `show` once a second."""
         bound_resources()
         next_check_s = 0.0
         while not ended():

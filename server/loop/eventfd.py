@@ -24,13 +24,13 @@ def wake_eventfd(fd: int) -> None:
 
 @jit
 def reset_eventfd(fd: int, word: NDArray[np.int64]) -> None:
-    """Reset an eventfd after a signal; waits without one. `word` (1,) is scratch."""
+    """Reset an eventfd; wait for its signal if there is none. `word` (1,) is scratch memory."""
     read_fd(fd, address_of(word, 0), 8)
 
 
 @jit
 def poll_eventfd(fd: int, timeout_ms: int, word: NDArray[np.int64]) -> bool:
-    """Sleep until an eventfd is signalled; return False on a timeout or a signal. `word` (1,) is scratch."""
+    """Sleep until an eventfd is signalled; return False after a timeout or EINTR. `word` (1,) is scratch memory."""
     return bool(wait_readable(fd, timeout_ms, address_of(word, 0)))
 
 

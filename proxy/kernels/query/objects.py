@@ -86,7 +86,7 @@ def is_inside(objects: Any, index: float) -> bool:
 
 @jit
 def is_world_plane(objects: Any, index: float) -> bool:
-    """Return True for a plane at rest, and for an index below 0."""
+    """Return True if object `index` is a plane at rest, or if there is no object (`index` below 0)."""
     is_plane, _ = find_world_plane(objects, index)
     return is_plane or index < 0.0
 

@@ -70,10 +70,10 @@ class RelayState(NamedTuple):
 
 @entry
 def serve(state: RelayState, feed: Feed, completed: int, calls: int, file: NDArray[np.int64]) -> bool:
-    """Copy ticks to the readers; return True if the feed is complete, False if Python requests a return.
+    """Copy ticks to the readers until the feed is complete (returns True) or Python requests a return (False).
 
-    completed  number of rings of the servo that were complete when this one began
-    calls      number of calls that Python has handled
+    completed  number of completed rings of the servo when this ring was started
+    calls      number of requests that Python has handled
     file       (1,)  scratch memory
     """
     woken = True

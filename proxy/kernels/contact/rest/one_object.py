@@ -60,7 +60,7 @@ def rest_on_any(
 def rest_on_plane(
     shape: Any, pose: Any, radius: float, probe: Vec3, center: Vec3, deflection: Vec3, normal: Vec3
 ) -> tuple[Vec3, Vec3, float]:
-    """Compute the rest position from the probe only, independent of the last proxy."""
+    """Return the rest position on a plane, which does not depend on the last position of the proxy."""
     gap, _, normal = find_closest_on(shape, pose, probe)
     return vec3.add(probe, vec3.add_scaled(deflection, radius - gap, normal)), normal, 0.0
 
