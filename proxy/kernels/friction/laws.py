@@ -132,19 +132,12 @@ def scale_isotropic(law: Any, factor: float) -> Any:
 def project_direction(direction: Vec3, normal: Vec3) -> Vec3:
     """Return the unit tangent along the projection of `direction`.
 
-    If that is parallel to the normal, project the coordinate axis that is closest to the tangent plane.
+    If that is parallel to the normal, return the first axis of `rotations.tangent_frame`.
     """
     along = vec3.reject(direction, normal)
     length = vec3.norm(along)
     if length < MIN_TANGENT_LENGTH:
-        x, y, z = abs(normal[0]), abs(normal[1]), abs(normal[2])
-        if x <= y and x <= z:
-            along = vec3.reject((1.0, 0.0, 0.0), normal)
-        elif y <= z:
-            along = vec3.reject((0.0, 1.0, 0.0), normal)
-        else:
-            along = vec3.reject((0.0, 0.0, 1.0), normal)
-        length = vec3.norm(along)
+        return rotations.tangent_frame(normal)[0]
     return vec3.scale(1.0 / length, along)
 
 
