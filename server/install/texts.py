@@ -35,8 +35,6 @@ WatchdogSec=2s
 Restart=no
 Environment=PYTHONUNBUFFERED=1
 RuntimeDirectory=softfinger
-# In a user service the folder also has the sockets of the user's other daemons.
-RuntimeDirectoryPreserve=yes
 NoNewPrivileges=yes
 LockPersonality=yes
 RestrictSUIDSGID=yes
@@ -85,6 +83,8 @@ WantedBy=multi-user.target
 """
 
 USER: Final = """\
+# The folder also has the sockets of the user's other daemons.
+RuntimeDirectoryPreserve=yes
 # The limits are those of the login: `softfinger install --system` raises them for the group softfinger.
 
 [Install]
