@@ -142,7 +142,8 @@ def test_it_runs_with_minimal_rights(service: str) -> None:
     assert set(now["Uid"].split()) == {str(account.pw_uid)} and set(now["Gid"].split()) == {str(account.pw_gid)}
     assert (int(now["CapEff"], 16), now["NoNewPrivs"], now["Seccomp"]) == (0, "1", "2")
     stats = [path.read_text().rpartition(") ")[2].split() for path in Path(f"/proc/{service}/task").glob("*/stat")]
-    assert {int(stat[RT_PRIORITY]) for stat in stats if int(stat[POLICY]) == SCHED_FIFO} == {79, 80, 81}  # relay, servo, supervisor
+    priorities = {int(stat[RT_PRIORITY]) for stat in stats if int(stat[POLICY]) == SCHED_FIFO}
+    assert priorities == {79, 80, 81}  # relay, servo, supervisor
     made = TELEMETRY.stat()
     assert (made.st_uid, made.st_gid, made.st_mode & 0o777) == (account.pw_uid, account.pw_gid, 0o660)
     log = journal()
