@@ -119,8 +119,10 @@ def test_the_unit_has_the_settings_of_the_daemon() -> None:
         "Type=notify", "WatchdogSec=2s", "Restart=no", "NoNewPrivileges=yes", "ProtectSystem=strict",
         "DevicePolicy=closed", "LimitRTPRIO=95", "LimitMEMLOCK=infinity", "RuntimeDirectory=softfinger",
     }  # fmt: skip
-    assert lines <= set(make_unit(["/bin/softfinger"], True).splitlines())
-    assert "Limit" not in make_unit(["/bin/softfinger"], False).partition("[Service]")[2].partition("# Limits")[0]
+    of_system, of_user = (make_unit(["/bin/softfinger"], system) for system in (True, False))
+    assert lines <= set(of_system.splitlines())
+    assert "Limit" not in of_user.partition("[Service]")[2]
+    assert ["RuntimeDirectoryPreserve" in unit for unit in (of_system, of_user)] == [False, True]
 
 
 def test_limits_equal_those_of_the_unit() -> None:
