@@ -129,11 +129,16 @@ def format_faults(faults: Faults, rate_hz: float) -> str:
 
 
 def report_settings(settings: list[Setting]) -> None:
+    """Log granted settings, and one warning for all refused settings with the same advice."""
+    refused: dict[str, list[Setting]] = {}
     for setting in settings:
         if setting.ok:
             log.info("real time: %s %s", setting.name, setting.detail)
         else:
-            log.warning("real time: %s refused: %s; %s", setting.name, setting.detail, setting.advice)
+            refused.setdefault(setting.advice, []).append(setting)
+    for advice, same in refused.items():
+        names = ", ".join(setting.name for setting in same)
+        log.warning("real time: %s refused: %s; %s", names, same[0].detail, advice)
 
 
 def start_watchers(daemon: Daemon, watchers: list[Watcher]) -> None:

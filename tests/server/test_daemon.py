@@ -22,10 +22,11 @@ from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout, Rea
 from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
-from softfinger.server.loop.realtime import raise_priority
+from softfinger.server.loop.realtime import Setting, raise_priority
 from softfinger.server.loop.rings import Rings
 from softfinger.server.services import base
 from softfinger.server.services.records import Sink
+from softfinger.server.verbs.run import report_settings
 from softfinger.tools.pages.hazards import compute_starvation_time_s
 
 pytestmark = pytest.mark.real_time
@@ -321,6 +322,16 @@ assert ctypes.CDLL(None).capset(header, no_capabilities) == 0
 from softfinger.server import cli
 sys.exit(cli.main(sys.argv[1:]))
 """
+
+
+def test_refused_settings_with_the_same_advice_are_one_warning(caplog):
+    names = ("sched_fifo", "mlockall", "sched_fifo_relay", "timer_slack")
+    advice = ("raise rtprio", "raise memlock", "raise rtprio", "")
+    report_settings([Setting(name, name == "timer_slack", "EPERM", text) for name, text in zip(names, advice)])
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "real time: sched_fifo, sched_fifo_relay refused: EPERM; raise rtprio",
+        "real time: mlockall refused: EPERM; raise memlock",
+    ]
 
 
 def test_required_realtime_that_is_refused_does_not_start(tmp_path):
