@@ -327,7 +327,8 @@ sys.exit(cli.main(sys.argv[1:]))
 def test_refused_settings_with_the_same_advice_are_one_warning(caplog):
     names = ("sched_fifo", "mlockall", "sched_fifo_relay", "timer_slack")
     advice = ("raise rtprio", "raise memlock", "raise rtprio", "")
-    report_settings([Setting(name, name == "timer_slack", "EPERM", text) for name, text in zip(names, advice)])
+    is_granted = (False, False, False, True)
+    report_settings([Setting(*row) for row in zip(names, is_granted, ["EPERM"] * 4, advice, strict=True)])
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
         "real time: sched_fifo, sched_fifo_relay refused: EPERM; raise rtprio",
         "real time: mlockall refused: EPERM; raise memlock",
