@@ -13,6 +13,7 @@ mute_after, block_after (reports until a write blocks for ever), permission (mod
 
 import json
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -185,6 +186,7 @@ def main(make: Callable[[dict], Any] = Bed) -> None:
     threading.Thread(target=run, daemon=True).start()
     loop.run()
     print(json.dumps(bed.seen()), flush=True)
+    shutil.rmtree(bed.bed.get_root_dir(), ignore_errors=True)
     os._exit(code[0])  # umockdev's threads would block the exit of the process
 
 
