@@ -361,6 +361,7 @@ LONG = "x" * 300
         ("NUMBA_DISABLE_JIT=1 run --endpoint tcp://127.0.0.1:*", 5, "NUMBA_DISABLE_JIT is set"),
         ("NUMBA_DISABLE_JIT=1 doctor --seconds 0.1", 5, "NUMBA_DISABLE_JIT is set"),
         ("NUMBA_DISABLE_JIT=1 stability", 5, "NUMBA_DISABLE_JIT is set"),
+        ("NUMBA_DISABLE_JIT=1 accuracy", 5, "NUMBA_DISABLE_JIT is set"),
     ],
 )
 def test_an_unusable_stream_name_or_environment_gives_one_line(line, code, message):

@@ -1,6 +1,7 @@
 """`bench`: results of each measurement on small cases; times are not asserted."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,11 @@ from helpers.programs import run_program
 from softfinger.config.errors import ConfigError
 from softfinger.config.load import load_rig, load_scene
 from softfinger.server.cli import main
+from softfinger.server.wire.client import NoTelemetry
 from softfinger.tools.bench.commands import FORCE_N, count_torn
 from softfinger.tools.bench.loop import open_devices
 from softfinger.tools.bench.soak import SoakResult, compute_growth, evaluate
+from softfinger.tools.bench.telemetry import run_source
 from softfinger.tools.bench.view import TurnResult, summarize_turns
 
 
@@ -74,6 +77,12 @@ def test_a_torn_parameter_set_is_detected() -> None:
 def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "/nowhere")
     assert main(["bench", "view", "--browsers", "1"]) == ConfigError.exit_code
+
+
+def test_a_source_that_ends_before_its_first_message_is_reported() -> None:
+    words = [sys.executable, "-c", "raise SystemExit(3)"]
+    with pytest.raises(NoTelemetry, match="before it ended with exit code 3: run "):
+        run_source(words, "tcp://127.0.0.1:1").__enter__()
 
 
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:

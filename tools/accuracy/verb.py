@@ -16,6 +16,7 @@ from typing import Any, Final
 import llvmlite.binding as llvm
 
 from softfinger.config.errors import ConfigError
+from softfinger.server.loop.servo_thread import require_machine_code
 from softfinger.server.offline.figures import check_figure_path
 from softfinger.tools.accuracy import meshes, pixels
 from softfinger.tools.accuracy.cases import RADIUS_M, TOLERANCE, Sweep, has_method, list_cases
@@ -38,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
         return meshes.run(args)
     if args.heightmap:
         return pixels.run(args)
+    require_machine_code("a measurement of speed")
     sweep, drift_cases = plan_sweep(args)
     if args.figures is not None:
         prepare_figures(args.figures)

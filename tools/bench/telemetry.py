@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import struct
 import subprocess
 import sys
@@ -41,6 +42,7 @@ from softfinger.tools.measure import (
 
 START_S: Final = 180.0
 """Longest time for a cold daemon to compile."""
+START_POLL_MS: Final = 500
 
 TURN_S: Final = 10.0
 SOURCE: Final = Path(__file__).with_name("reference_sender.c")
@@ -176,7 +178,7 @@ def run_process(words: list[str], **options: Any) -> Iterator[subprocess.Popen[A
 def run_source(words: list[str], endpoint: str) -> Iterator[subprocess.Popen[Any]]:
     """Run a process that publishes at an endpoint until the block ends; yields it after its first message."""
     with run_process(words, stderr=subprocess.DEVNULL, process_group=0) as process:  # Ctrl-C does not reach it
-        await_messages(endpoint)
+        await_messages(endpoint, words, process)
         yield process
 
 
@@ -198,17 +200,22 @@ def forward(endpoint: str, keys: bool, folder: Path) -> Iterator[PublisherProces
         yield PublisherProcess(process, line_with_endpoint.partition("forwarded on ")[2].partition(",")[0], pair)
 
 
-def await_messages(endpoint: str) -> None:
-    """Wait for the first message; the kernels may have to be compiled."""
+def await_messages(endpoint: str, words: list[str], process: subprocess.Popen[Any]) -> None:
+    """Wait for the first message of a process, which may have to compile its kernels.
+
+    Raises NoTelemetry if the process ends before it, or after START_S.
+    """
+    deadline = time.monotonic() + START_S
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.linger = 0
         socket.subscribe(b"contact")
         socket.connect(endpoint)
         with show_progress("the daemon starts, and compiles kernels that are not cached"):
-            if not socket.poll(int(START_S * 1000)):
-                raise NoTelemetry(
-                    f"nothing arrived from {endpoint} within {START_S:g} s: check that `softfinger run` starts"
-                )
+            while not socket.poll(START_POLL_MS):
+                code = process.poll()
+                if code is not None or time.monotonic() > deadline:
+                    reason = f"within {START_S:g} s" if code is None else f"before it ended with exit code {code}"
+                    raise NoTelemetry(f"nothing arrived from {endpoint} {reason}: run `{shlex.join(words)}` to see why")
 
 
 def subscribe_all(
