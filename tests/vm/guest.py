@@ -184,7 +184,7 @@ class Run(AbstractContextManager[Any]):
     @property
     def starved(self) -> bool:
         """True if the run timed out without a fault of the device: the emulated processor was too slow."""
-        return self.code != 0 and "no answer to a" in self.err
+        return self.code != 0 and any(text in self.err for text in ("no answer to a", "no tick for"))
 
     def end(self, seconds: float = 60.0) -> int:
         """Wait for the end, and return the exit code."""
