@@ -51,7 +51,7 @@ class ObjectBase(Table, frozen=True, kw_only=True):
 
     shape: ClassVar[str] = make_tag_attribute()
     unrolls: ClassVar[bool] = False
-    """Whether the rolling method `rotation_vector` has a closed form on this shape."""
+    """True if the rolling method `rotation_vector` has a closed form on this shape."""
     added: ClassVar[list[type[Struct]]] = []
     """Tables of shapes from other packages, in the order of the calls of `add_shape`."""
 

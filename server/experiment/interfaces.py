@@ -1,4 +1,4 @@
-"""What a session exchanges with the presenter of its stimuli and with its source of answers."""
+"""Interfaces between a session, the presenter of its stimuli and its source of answers."""
 
 from __future__ import annotations
 

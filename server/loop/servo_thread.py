@@ -84,7 +84,7 @@ class ServoThread:
         self._ended: LoopEnd | None = None
         self._stopping = False
         self.is_armed = False
-        """Whether the devices have been armed; from then on a tick is due."""
+        """True if the devices have been armed; from then on a tick is due."""
         self._handover: Handover | None = None
         self._finished = threading.Event()
         # CLOCK_MONOTONIC is slewed with the wall clock but never stepped, so one offset is valid for the run.
@@ -295,7 +295,7 @@ class ServoThread:
 
     @property
     def is_ticking(self) -> bool:
-        """Whether ticks will follow. After the last tick the devices are stopped, then `is_running` becomes false."""
+        """True if ticks will follow. After the last tick the devices are stopped, then `is_running` becomes false."""
         return self._ended is None
 
     @property
@@ -320,7 +320,7 @@ class ServoThread:
 
     @property
     def woken_late(self) -> bool:
-        """Whether a loop that lost its time lost most of it before the thread was woken."""
+        """True if a loop that lost its time lost most of it before the thread was woken."""
         return bool(self.shared.progress[2])
 
     def is_compiled_for(self, tuning: Tuning) -> bool:

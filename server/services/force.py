@@ -46,7 +46,7 @@ class Force:
 
     @property
     def is_requested(self) -> bool:
-        """Whether the force is on or fades in: no reason inhibits it."""
+        """True if the force is on or fades in: no reason inhibits it."""
         return not self._reasons
 
     @property
@@ -55,13 +55,13 @@ class Force:
 
     @property
     def is_off(self) -> bool:
-        """Whether the force is switched off and all hands have zero force."""
+        """True if the force is switched off and all hands have zero force."""
         switch = self._switch
         return not switch[IS_REQUESTED] and not switch[IS_ACTIVE] and self._ticks() >= self._off_tick + SWITCH_TICKS
 
     @property
     def is_reachable(self) -> bool:
-        """Whether a request to turn the force off is received, or commands are off; if not, the loop turns it off."""
+        """True if a request to turn the force off is received, or commands are off; otherwise the loop turns it off."""
         return bool(self._switch[UNREACHABLE_NS] <= UNREACHABLE_MAX_NS)
 
     def is_inhibited_by(self, why: str) -> bool:

@@ -46,7 +46,7 @@ class Channel:
 
     @property
     def has_queued(self) -> bool:
-        """Whether messages are queued for the other side."""
+        """True if messages are queued for the other side."""
         return bool(self._queue)
 
     def send(self, kind: Kind, key: bytes = b"", body: bytes = b"") -> bool:

@@ -60,7 +60,7 @@ class LivePage:
         """Received triangles of objects from files: scene number, object index."""
         self._scene: schema.Scene | None = None
         self._is_outdated = True
-        """Whether the description has to be requested: it is unknown, or the event of a change may be lost."""
+        """True if the description has to be requested: it is unknown, or the event of a change may be lost."""
         self._first_tick = -1
         self._scene_number = 0
         self._orientable_fingers: set[str] = set()

@@ -195,7 +195,7 @@ class Publisher(Closeable):
 
     @property
     def has_failed(self) -> bool:
-        """Whether a process of the endpoints cannot be started, or a thread of this object has ended."""
+        """True if a process of the endpoints cannot be started, or a thread of this object has ended."""
         return any(link.failed for link in self._links) or self.tap.failed
 
     @property

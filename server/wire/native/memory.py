@@ -230,7 +230,7 @@ class Local(Closeable):
 
     @property
     def ended(self) -> bool:
-        """Whether the daemon has exited; available ticks can still be read."""
+        """True if the daemon has exited; available ticks can still be read."""
         if self._words[_ENDED]:
             return True
         try:

@@ -152,12 +152,12 @@ class Tap:
 
     @property
     def ended(self) -> bool:
-        """Whether no record will follow the ones that are available now."""
+        """True if no record will follow those that are available now."""
         return self._ended.is_set()
 
     @property
     def failed(self) -> bool:
-        """Whether the thread of the relay has failed."""
+        """True if the thread of the relay has failed."""
         return self._failed.is_set()
 
     @property

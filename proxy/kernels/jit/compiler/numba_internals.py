@@ -208,7 +208,7 @@ class UnitCode(JITCodeLibrary):  # type: ignore[misc]
         ll_module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
-        """Once: numba optimises twice, because of reference counts."""
+        """Optimise once; numba would do it twice, because of reference counts."""
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
@@ -241,7 +241,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         self._final_module = ll_module
 
     def _optimize_final_module(self) -> None:
-        """Once, and lightly: its callers are optimised again, with the inlined code. Twice takes 1.14 times as long.
+        """Optimise once, and lightly: callers are optimised again, with the inlined code. Twice takes 1.14 times as long.
 
         If nearly all of the code is that of callees, which are optimised, the kernel is left to its callers.
         """
