@@ -241,7 +241,7 @@ class InlinedCode(JITCodeLibrary):  # type: ignore[misc]
         self._final_module = ll_module
 
     def _optimize_final_module(self) -> None:
-        """Optimise once, and lightly: callers are optimised again, with the inlined code. Twice takes 1.14 times as long.
+        """Optimise once, and lightly: callers are optimised again, with the inlined code. Twice takes 14 % longer.
 
         If nearly all of the code is that of callees, which are optimised, the kernel is left to its callers.
         """
