@@ -60,7 +60,11 @@ def run_all(commands: Iterable[Command]) -> None:
         if shutil.which(command[0]) is None:
             print(f"not run, because {command[0]} is not installed: {shlex.join(command)}")
             continue
-        result = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
+        try:
+            result = subprocess.run(command, capture_output=True, text=True, timeout=WAIT_S, stdin=subprocess.DEVNULL)
+        except subprocess.TimeoutExpired:
+            print(f"not finished within {WAIT_S:g} s: {shlex.join(command)}")
+            continue
         output = (result.stderr or result.stdout).strip().splitlines()
         print(
             f"ran {shlex.join(command)}"

@@ -16,6 +16,7 @@ from helpers.shortages import without_rights
 
 from softfinger.config.errors import ConfigError, Exhausted
 from softfinger.server.cli import main
+from softfinger.server.install import verb
 from softfinger.server.install.ledger import File, Ledger
 from softfinger.server.install.plan import SYSTEM, find_private_folder, find_user_paths
 from softfinger.server.install.verb import list_cleanup_commands, run_all
@@ -212,6 +213,17 @@ def test_a_missing_home_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         monkeypatch.setenv(f"XDG_{name}_HOME", str(tmp_path / name))
     result = called("install", "--dry-run")
     assert result.returncode == 0 and str(tmp_path / "CONFIG") in result.stdout
+
+
+def test_a_command_that_does_not_end_does_not_stop_the_next(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verb, "WAIT_S", 0.1)
+    run_all([("sleep", "1000"), ("userdel-of-nowhere", "x")])
+    assert capsys.readouterr().out.splitlines() == [
+        "not finished within 0.1 s: sleep 1000",
+        "not run, because userdel-of-nowhere is not installed: userdel-of-nowhere x",
+    ]
 
 
 def test_commands_that_are_missing_or_fail_are_reported(home, capsys, monkeypatch):
