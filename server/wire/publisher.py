@@ -195,7 +195,7 @@ class Publisher(Closeable):
 
     @property
     def has_failed(self) -> bool:
-        """True if a process of the endpoints cannot be started, or a thread of this object has ended."""
+        """True if a process of the endpoints cannot be restarted, or the relay has failed."""
         return any(link.failed for link in self._links) or self.tap.failed
 
     @property
@@ -203,7 +203,7 @@ class Publisher(Closeable):
         return sum(link.restarts for link in self._links)
 
     def rebind(self) -> Iterator[str]:
-        """Bind sockets whose files were removed or replaced again; yield their endpoints (`Endpoints.rebind`)."""
+        """Rebind sockets with removed or replaced files; yield their endpoints (`Endpoints.rebind`)."""
         return self._endpoints.rebind()
 
     def attach(self, source: Rings) -> None:

@@ -81,8 +81,9 @@ def test_a_page_that_cannot_be_opened_is_reported(monkeypatch: pytest.MonkeyPatc
 
 def test_a_source_that_ends_before_its_first_message_is_reported() -> None:
     words = [sys.executable, "-c", "raise SystemExit(3)"]
-    with pytest.raises(NoTelemetry, match="before it ended with exit code 3: run "):
-        run_source(words, "tcp://127.0.0.1:1").__enter__()
+    expected = "before it ended with exit code 3: run "
+    with pytest.raises(NoTelemetry, match=expected), run_source(words, "tcp://127.0.0.1:1"):
+        pass
 
 
 def test_misses_are_counted_among_the_ticks_that_were_due() -> None:

@@ -152,7 +152,7 @@ class Tap:
 
     @property
     def ended(self) -> bool:
-        """True if no record will follow those that are available now."""
+        """True if the available records are the last ones."""
         return self._ended.is_set()
 
     @property
