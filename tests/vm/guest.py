@@ -183,7 +183,7 @@ class Run(AbstractContextManager[Any]):
 
     @property
     def starved(self) -> bool:
-        """True if the run timed out, as on a slow emulated processor; a device that hangs does so in each of TRIES runs."""
+        """True if the run timed out, as on a slow processor; a device that hangs does so in each of TRIES runs."""
         return self.code != 0 and any(text in self.err for text in ("no answer to a", "no tick for"))
 
     def end(self, seconds: float = 60.0) -> int:
