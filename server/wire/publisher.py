@@ -195,7 +195,7 @@ class Publisher(Closeable):
 
     @property
     def has_failed(self) -> bool:
-        """True if a process of the endpoints cannot be restarted, or the relay has failed."""
+        """True if a process of the endpoints cannot be started, or a thread of the publisher has failed."""
         return any(link.failed for link in self._links) or self.tap.failed
 
     @property
