@@ -268,6 +268,11 @@ def test_a_line_is_an_answer(prompt: Prompt, typed: str, answer: Any, rest: str)
     assert parse_answer(prompt, typed, 0) == (answer, rest)
 
 
+@pytest.mark.parametrize(("buttons", "answer"), [(1, "first"), (2, "second"), (3, "first"), (4, None), (6, "second")])
+def test_the_first_two_buttons_answer(buttons: int, answer: str | None) -> None:
+    assert parse_answer(Prompt("t", "?", choices=CHOICES), "", buttons) == (answer, "")
+
+
 def test_a_character_split_between_two_reads_is_complete(monkeypatch: pytest.MonkeyPatch) -> None:
     """A read returns at most 256 bytes, which splits an ü."""
     text = "a" + 300 * "ü" + "\n"

@@ -9,7 +9,7 @@ import pytest
 from helpers.called import called, read_stdout
 from helpers.recorded import EPOCH_S, about, event, printed, recorded, run
 
-from softfinger.config.errors import Different
+from softfinger.config.errors import Different, RecordingError
 from softfinger.config.load import apply_overrides, describe, load_rig, load_scene
 from softfinger.drivers.base import HELD
 from softfinger.drivers.poses import load_poses
@@ -184,6 +184,12 @@ def test_the_verb(tmp_path: Path) -> None:
     assert f"{len(run())} of {len(run())} ticks compared, 0 differ" in read_stdout("replay", str(path))
     path.write_bytes(path.read_bytes()[:-2000])
     assert printed(read_stdout("replay", str(path), "--json"))["equal"] is True
+
+    touch = find_touches()[0]
+    result = called("replay", str(recorded(tmp_path / "touch.mcap", run()[touch + 1 : touch + 50])), "--json")
+    report = printed(result.stdout)
+    assert result.returncode == RecordingError.exit_code and "no tick can be compared" in result.stderr
+    assert (report["equal"], report["compared"]) == (False, 0)
 
     softer = describe(apply_overrides(load_scene("paper-plane"), {STIFFNESS: 700.0}, "test"))
     softer_path = recorded(tmp_path / "b.mcap", run(), scene=softer)
