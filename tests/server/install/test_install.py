@@ -15,6 +15,8 @@ from helpers.forgotten import forget_user
 from helpers.shortages import without_rights
 
 from softfinger.config.errors import ConfigError, Exhausted
+from softfinger.config.schema import Rig
+from softfinger.config.sources import find
 from softfinger.server.cli import main
 from softfinger.server.install import verb
 from softfinger.server.install.ledger import File, Ledger
@@ -22,10 +24,11 @@ from softfinger.server.install.plan import SYSTEM, find_private_folder, find_use
 from softfinger.server.install.verb import list_cleanup_commands, run_all
 
 UNIT = "etc/systemd/system/softfinger.service"
+ACCOUNT = "etc/sysusers.d/softfinger.conf"
 RULES = "etc/udev/rules.d/70-softfinger.rules"
 RECORD = str(SYSTEM.record.relative_to("/"))
 FILES = {
-    UNIT, RULES, "etc/security/limits.d/70-softfinger.conf", "etc/sysusers.d/softfinger.conf",
+    UNIT, RULES, "etc/security/limits.d/70-softfinger.conf", ACCOUNT,
     "usr/local/share/man/man1/softfinger.1", "usr/local/share/bash-completion/completions/softfinger",
     "usr/local/share/zsh/site-functions/_softfinger",
 }  # fmt: skip
@@ -109,7 +112,9 @@ def test_a_second_install_changes_nothing(root: Path, install: Install) -> None:
 def test_an_edited_file_remains_and_is_reported(root: Path, install: Install) -> None:
     install()
     (root / RULES).write_text("# mine\n")
+    (root / ACCOUNT).unlink()
     output = install("--rig", "omega-6", "--scene", "sphere")
+    assert f"written {root / ACCOUNT}" in output and (root / ACCOUNT).exists()
     assert (root / RULES).read_text() == "# mine\n"
     assert f"edited, therefore not replaced; move it away to install the new one: {root / RULES}" in output
     assert f"renewed {root / UNIT}" in output
@@ -169,6 +174,14 @@ def test_a_damaged_record_is_reported(root: Path, install: Install) -> None:
     (root / RECORD).parent.mkdir(parents=True)
     (root / RECORD).write_text("{")
     assert f"{root / RECORD} is damaged" in install(code=2)
+
+
+def test_the_service_uses_absolute_paths(root: Path, install: Install) -> None:
+    root.mkdir()
+    rig = root / "mine.toml"
+    rig.write_bytes(find("omega-6", Rig).read_bytes())
+    install("--rig", os.path.relpath(rig))
+    assert f"run --rig {rig} --scene" in (root / UNIT).read_text()
 
 
 def test_a_wrong_rig_is_refused_before_installing(root: Path, install: Install) -> None:
