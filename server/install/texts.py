@@ -53,6 +53,8 @@ Environment=XDG_RUNTIME_DIR=%t
 UMask=0007
 LimitRTPRIO={RTPRIO}
 LimitMEMLOCK=infinity
+# If memory runs out, the kernel kills other programs first.
+OOMScoreAdjust=-500
 
 # Only these devices: the USB bus, hidraw nodes, serial ports on USB, and the control of processor sleep states.
 DevicePolicy=closed

@@ -51,7 +51,9 @@ def configure_run(parser: Parser) -> None:
     for flag, _, kind, metavar, text in OVERRIDES:
         add_option(parser, flag, text, metavar=metavar, type=kind)
     add_flag(parser, "--once", "play a recording once instead of looping it")
-    add_flag(parser, "--watcher", "start a second process that removes the force if this one is killed")
+    add_flag(
+        parser, "--watcher", "require, for each device, a second process that removes the force if this one is killed"
+    )
     add_option(parser, "--record", "record every tick and event to a new .mcap file", metavar="FILE")
     add_option(
         parser, "--inject", "inject faults between device and loop: a file or the name of a shipped one", metavar="FILE"

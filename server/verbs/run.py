@@ -68,8 +68,7 @@ def run(args: argparse.Namespace) -> int:
             )
         if args.record is not None:
             daemon.recordings.record(args.record, args.scene)
-        if args.watcher:
-            start_watchers(daemon, watchers)
+        start_watchers(daemon, watchers, required=args.watcher)
         if faults is not None:
             log.warning("faults are injected, from %s: %s", args.inject, format_faults(faults, rate))
         announce(daemon, args.scene, suggest_view=page is None and args.rig is None)
@@ -141,22 +140,21 @@ def report_settings(settings: list[Setting]) -> None:
         log.warning("real time: %s refused: %s; %s", names, same[0].detail, advice)
 
 
-def start_watchers(daemon: Daemon, watchers: list[Watcher]) -> None:
-    """Start a watcher for each device and append it to `watchers`, also if a later one cannot start.
+def start_watchers(daemon: Daemon, watchers: list[Watcher], required: bool) -> None:
+    """Start a watcher for each device whose force another process can remove, and append it to `watchers`.
 
-    Raises ConfigError if no other process can remove the force of a device.
+    Raises ConfigError if `required` and there is another device.
     """
-    zero_commands = []
     for device in daemon.devices:
         zero_command = device.last_word()
-        if zero_command is None:
+        if zero_command is not None:
+            watchers.append(Watcher(*zero_command))
+            log.info("watcher: another process removes the force of %s if this one is killed", device.info.name)
+        elif required:
             raise ConfigError(
                 f"--watcher: no other process can remove the force of {device.info.name} "
                 "(see docs/devices/overview.md): remove --watcher"
             )
-        zero_commands.append(zero_command)
-    for zero_command in zero_commands:
-        watchers.append(Watcher(*zero_command))  # noqa: PERF401 - the caller ends these if another one fails
 
 
 def show_progress(daemon: Daemon, page: PageProcess | None, watchers: Sequence[Watcher]) -> None:

@@ -4,7 +4,6 @@ described boards, which log their motors' forces: contact, faults, a second prog
 import contextlib
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from emulators.slowline import SlowLine
 from helpers.c_stub import compiled
 from helpers.described_boards import REST, TO_WORLD, force_of, lower, opened, settled
 from helpers.far_ends import sketch_library
+from helpers.processes import COMMAND
 from helpers.programs import LIMIT_S, Program
 from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import ends_within, fresh, until
@@ -196,17 +196,12 @@ def test_disarm_does_not_wait_for_the_answers_of_a_late_board() -> None:
         assert len(forces) <= 2  # one under way at `disarm`, one for an answer in the 6 ms after it
 
 
-def words_of(name: str, path: str, folder: Path, *more: str) -> list[str]:
-    mine = write_rig(folder, name, path=path, quiet_s=0.1, timeout_s=2.0)
-    words = ["run", "--rig", str(mine), "--realtime", "off", "--scene", "paper-plane"]
-    return [*words, "--endpoint", f"ipc://{folder}/a", *more]
-
-
 @contextmanager
 def command(
-    name: str, path: str, folder: Path, *more: str, environment: dict[str, str] | None = None
+    name: str, path: str, folder: Path, environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[str]]:
-    words = [sys.executable, "-m", "softfinger.server.cli", *words_of(name, path, folder, *more)]
+    mine = write_rig(folder, name, path=path, quiet_s=0.1, timeout_s=2.0)
+    words = [*COMMAND, "run", "--rig", str(mine), "--realtime", "off", "--endpoint", f"ipc://{folder}/a"]
     with Program(words, stderr=subprocess.PIPE, text=True, env=environment, kill_at_end=True) as process:
         yield process
 
@@ -219,19 +214,13 @@ def press(board: Firmware, process: subprocess.Popen[str]) -> None:
     assert process.poll() is None
 
 
-@pytest.mark.parametrize("watched", [pytest.param(False, marks=pytest.mark.exhaustive), True])
-def test_a_watcher_ends_the_force_of_a_killed_program(watched: bool, tmp_path: Path) -> None:
+def test_a_watcher_ends_the_force_of_a_killed_program(tmp_path: Path) -> None:
     board = Firmware()
-    more = ("--watcher",) if watched else ()
-    with Port(board) as port, command("haply-2diy", port.path, tmp_path, *more) as process:
+    with Port(board) as port, command("haply-2diy", port.path, tmp_path) as process:
         press(board, process)
         process.kill()
         process.wait()
-        if watched:
-            assert settled(lambda: any(board.torques), lambda on: not on) is False
-        else:
-            time.sleep(0.5)
-            assert any(board.torques)
+        assert settled(lambda: any(board.torques), lambda on: not on) is False
 
 
 def push(board: Hapkit, process: subprocess.Popen[str], down: float) -> float:

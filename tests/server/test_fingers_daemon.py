@@ -212,7 +212,7 @@ def test_recording_requires_a_file_for_each_finger(tmp_path: Path) -> None:
 
 
 @contextmanager
-def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
+def pressing(tmp_path: Path) -> Iterator[tuple[list[Board], list[Cable], subprocess.Popen[str]]]:
     boards = [Board(lambda _: (*PLACE[:2], 0.006)) for _ in NAMES]
     with ExitStack() as lines:
         cables = [lines.enter_context(Cable(board)) for board in boards]
@@ -225,7 +225,7 @@ def pressing(tmp_path: Path, *words: str) -> Iterator[tuple[list[Board], list[Ca
         (tmp_path / "scene.toml").write_text(SCENE)
         command = [*COMMAND, "run", "--realtime", "off"]
         command += ["--rig", str(tmp_path / "rig.toml"), "--scene", str(tmp_path / "scene.toml")]
-        command += ["--endpoint", f"ipc://{tmp_path}/t", *words]
+        command += ["--endpoint", f"ipc://{tmp_path}/t"]
         with Program(command, stderr=subprocess.PIPE, text=True, kill_at_end=True) as process:
             until(lambda: all(board.force[2] > FORCE_N for board in boards) or process.poll() is not None)
             assert process.poll() is None, process.communicate()[1]
@@ -253,7 +253,7 @@ def test_a_silent_board_zeroes_the_other(place: int, tmp_path: Path) -> None:
 
 
 def test_watchers_zero_both_boards_of_a_killed_daemon(tmp_path: Path) -> None:
-    with pressing(tmp_path, "--watcher") as (boards, _, process):
+    with pressing(tmp_path) as (boards, _, process):
         process.kill()
         stderr = process.communicate(timeout=END_S)[1]
         assert stderr.count("the daemon has died: zero force was written to /dev/pts/") == 2

@@ -300,7 +300,7 @@ HAZARDS: Final = (
         ("tests/server/test_supervisor.py::test_a_supervisor_that_fails_ends_the_run",),
     ),
     Hazard(
-        "a daemon that is killed", "the device's own watchdog, or `run --watcher`", "as the device or the watcher",
+        "a daemon that is killed", "the device's own watchdog, or the watcher of `run`", "as the device or the watcher",
         "zero with either; else the last force", _START, (),
         ("tests/server/test_signals.py::test_watcher_takes_the_force_off_a_killed_daemon",),
     ),
