@@ -185,12 +185,14 @@ class LastWord(NamedTuple):
     """Means of another process to zero a device: path of its node, open file descriptor, and bytes to write there.
 
     A process that inherits the descriptor does not have to open the node. A serial port opened exclusively remains
-    exclusive as long as any process has it open.
+    exclusive as long as any process has it open. A node on the USB bus can be opened repeatedly, so it has no
+    descriptor here, but the endpoint of interface 0 that receives the bytes.
     """
 
     node: str
-    fd: int
+    fd: int | None
     zero: bytes
+    endpoint: int = 0
 
 
 class Device(Closeable):

@@ -2,19 +2,21 @@
 
 It only waits for the end of a pipe whose other end the daemon has open. A daemon that has closed its device first
 writes CLOSED_MESSAGE to the pipe, and the watcher exits. Otherwise the daemon has died, by SIGKILL or a fault in a
-library, and the watcher writes the given zero frame to the device. It inherits the open descriptor, because it could
-not always open the node: a serial port opened for exclusive use remains so until the last process that has it open
-closes it.
+library, and the watcher writes the given zero frame to the device. It inherits an open descriptor, because it could not
+always open the node: a serial port opened for exclusive use remains so until the last process that has it open closes
+it. It opens a node on the USB bus itself, and claims the interface when the system has released it from the daemon.
 
 This file runs as a script without this package, so that the process is small and needs no compiler.
 """
 
 from __future__ import annotations
 
+import array
 import contextlib
 import fcntl
 import os
 import signal
+import struct
 import subprocess
 import sys
 import termios
@@ -28,6 +30,11 @@ WRITE_TIMEOUT_S = 2.0
 """Time limit for a device that accepts no bytes."""
 EXIT_TIMEOUT_S = 2.0
 """Time limit for the process to exit; a stopped process (SIGSTOP) does not."""
+USB_TIMEOUT_MS = 100
+"""Time limit of one transfer."""
+# From <linux/usbdevice_fs.h>; struct usbdevfs_bulktransfer: endpoint, length, timeout in ms, address of the data.
+BULK_TRANSFER = "IIIP"
+CLAIM_INTERFACE, BULK = 0x8004550F, 0xC0005502 | struct.calcsize(BULK_TRANSFER) << 16
 RESTARTS = 3
 """Maximum restarts of a process that ends unexpectedly."""
 
@@ -40,19 +47,22 @@ class Watcher:
     node
         Path of the device node.
     fd
-        Descriptor of the open device.
+        Descriptor of the open device; None on the USB bus.
     zero
         Bytes that command zero force when written to it.
+    endpoint
+        Endpoint of interface 0 on the USB bus for these bytes; 0 for other nodes.
     """
 
-    def __init__(self, node: str, fd: int, zero: bytes) -> None:
-        self._node, self._fd, self._restarts = node, fd, 0
-        self._command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex()]
+    def __init__(self, node: str, fd: int | None, zero: bytes, endpoint: int) -> None:
+        self._node, self._restarts = node, 0
+        self._fds = () if fd is None else (fd,)
+        self._command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex(), str(endpoint)]
         self._process = self._spawn()
 
     def _spawn(self) -> subprocess.Popen[bytes]:
         # A new session: Ctrl-C and the hangup of a terminal are meant for the daemon.
-        return subprocess.Popen(self._command, stdin=subprocess.PIPE, pass_fds=(self._fd,), start_new_session=True)
+        return subprocess.Popen(self._command, stdin=subprocess.PIPE, pass_fds=self._fds, start_new_session=True)
 
     def supervise(self) -> str:
         """Restart the process if it has ended; return a sentence about it, empty if the process runs."""
@@ -80,14 +90,26 @@ class Watcher:
                 self._process.kill()
 
 
-def write_zero_force(node: str, fd: int, zero: bytes) -> str:
+def send(fd: int, data: bytes, endpoint: int) -> int:
+    """Write bytes to a node, or to an endpoint of interface 0 on the USB bus; return how many were accepted."""
+    if not endpoint:
+        return os.write(fd, data)
+    fcntl.ioctl(fd, CLAIM_INTERFACE, struct.pack("I", 0))
+    buffer = array.array("B", data)
+    address, length = buffer.buffer_info()
+    transfer = bytearray(struct.pack(BULK_TRANSFER, endpoint, length, USB_TIMEOUT_MS, address))
+    accepted: int = fcntl.ioctl(fd, BULK, transfer)
+    return accepted
+
+
+def write_zero_force(node: str, fd: int, zero: bytes, endpoint: int) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
     until, zeroed_count, detail = time.monotonic() + WRITE_TIMEOUT_S, 0, "only part of it was accepted"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
     while zeroed_count < ZERO_WRITES and time.monotonic() < until:
         try:
-            zeroed_count += os.write(fd, zero) == len(zero)
+            zeroed_count += send(fd, zero, endpoint) == len(zero)
         except OSError as error:
             detail = error.strerror or str(error)
         time.sleep(PAUSE_S)
@@ -118,11 +140,13 @@ def main() -> int:
     # Signals that end the daemon may be sent to its process group, and must not end this process first.
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         signal.signal(number, signal.SIG_IGN)
+    _, node, fd_text, zero, endpoint = sys.argv
+    fd = os.open(node, os.O_RDWR) if int(endpoint) else int(fd_text)
     received = b""
     while data := os.read(0, len(CLOSED_MESSAGE)):
         received += data
     if received != CLOSED_MESSAGE:
-        result = write_zero_force(sys.argv[1], int(sys.argv[2]), bytes.fromhex(sys.argv[3]))
+        result = write_zero_force(node, fd, bytes.fromhex(zero), int(endpoint))
         print(f"softfinger watcher: the daemon has died: {result}", file=sys.stderr, flush=True)
     return 0
 

@@ -8,8 +8,10 @@ import time
 from functools import partial
 from typing import Any, ClassVar, Final
 
+import numpy as np
+
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, make_info
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord, ModelLimits, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
@@ -178,6 +180,11 @@ class Falcon(BlockDevice):
             return "it has lost its encoder zeros, possibly by a power failure: start again and home it"
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
+
+    def last_word(self) -> LastWord:
+        zero = np.zeros(packets.SIZE, np.uint8)
+        packets.encode((0, 0, 0), packets.RED, zero)
+        return LastWord(self._chip.node, None, zero.tobytes(), usb.ENDPOINT_OUT)
 
     @property
     def counts_per_nm(self) -> float:

@@ -98,6 +98,11 @@ class SerialChip:
         self.request(BAUD, BAUD_1500000)
         self.purge()
 
+    @property
+    def node(self) -> str:
+        """Path of the device on the USB bus."""
+        return find_usb_node(self._device.bus, self._device.address)
+
     def libusb(self) -> Libusb:
         # pyusb publishes neither; both have been in its context since 1.0
         try:

@@ -7,6 +7,7 @@ import functools
 import json
 import random
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from helpers.rig_files import write_rig
 from test_hid_emulated import CLOSED_LOOP, DAEMON, STROKE, WHY_NOT, Run, on_testbed
 
 from softfinger.config.load import load_scene
-from softfinger.drivers.falcon import firmware
+from softfinger.drivers.falcon import firmware, packets
 from softfinger.proxy.record import AT
 
 CONTRACT = Path(__file__).parents[1] / "helpers" / "falcon_contract.py"
@@ -104,6 +105,13 @@ def test_faults_end_in_order(case: dict[str, Any], message: str, tmp_path: Path)
     assert max(saw["most"]) > 0, "there was no force to take away"
     if not {"block_after", "broken_after"} & set(case):  # nothing is transmitted any more, not even a zero
         assert saw["motors"] == [0, 0, 0]
+
+
+def test_the_force_of_a_killed_daemon_ends(tmp_path: Path) -> None:
+    case = {"place": [0.0, 0.0, 0.005], "kill_after": 200}
+    process, saw = run(case, rig_with(tmp_path), "--duration", "10", code=256 - signal.SIGKILL)
+    assert "the daemon has died: zero force was written to /dev/bus/usb/001/002" in process.stderr
+    assert max(saw["most"]) > 0 and saw["motors"] == [0, 0, 0] and saw["state"] == packets.RED
 
 
 def test_homing(tmp_path: Path) -> None:

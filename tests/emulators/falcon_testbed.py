@@ -10,13 +10,14 @@ is the kernel that libusb calls. The program can change the device over the sock
 The first argument is the case of the emulator (`from_case` there), and also: serial, late_every (each n-th reply is 4
 ms late), and steps after which a fault starts: lost_after, mute_after, broken_after (an error on the bus), block_after
 (accepts no more transfers), garble_after (sends noise), unhomed_after (loses its zeros), weight_after (weight_kg is
-added to the knob).
+added to the knob), kill_after (the program is killed).
 """
 
 import json
 import os
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -42,6 +43,7 @@ class Bed(usbfs.UsbDevice):
         self.strings = usbfs.strings("FTDI", "FALCON HAPTIC", case.get("serial", "SN42"))
         self.claimed: usbfs.Stream | None = None
         self.ready_at = 0.0
+        self.process: subprocess.Popen | None = None
         self.bed = UMockdev.Testbed.new()
         self._add()
         self.node = UMockdev.IoctlBase()
@@ -69,6 +71,8 @@ class Bed(usbfs.UsbDevice):
         self.falcon.motors = (0, 0, 0)
 
     def claim(self, stream: usbfs.Stream) -> bool:
+        if self.process is not None and self.process.poll() is not None:
+            self.claimed = None  # as the kernel does; umockdev does not report the end of a program
         if self.made == "busy" or self.claimed not in (None, stream):
             return False
         self.claimed = stream
@@ -87,6 +91,11 @@ class Bed(usbfs.UsbDevice):
             self.falcon.write(bytes(buffer.retrieve())[:length])
             self._spoil(before)
             stream.finish(urb, 0, length)
+            if self._past("kill_after") and any(self.falcon.motors):
+                self.process.kill()
+
+    def bulk(self, end: int, data: bytes) -> None:
+        self.falcon.write(data)
 
     def _spoil(self, before: int) -> None:
         falcon, late = self.falcon, self.case.get("late_every")

@@ -11,6 +11,8 @@ sideways motion), lost_after (reports until the device is unplugged), short_afte
 mute_after, block_after (reports until a write blocks for ever), permission (mode of the node, octal text).
 """
 
+import contextlib
+import glob
 import json
 import os
 import shutil
@@ -18,6 +20,7 @@ import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -34,6 +37,8 @@ from emulators.woodenhaptics import Woody  # noqa: E402
 
 LIMIT_S = 240.0
 """A cold cache on a busy machine takes minutes. Callers of the emulation wait longer, so no process outlives them."""
+ZERO_S = 10.0
+"""Time for the watcher of a killed program."""
 IDS = {1: (0x1234, 0x0006), 2: (0x16C0, 0x0486)}
 EAGAIN, EIO, ENODEV, ENOTTY = 11, 5, 19, 25
 # From <linux/hidraw.h>: descriptor size, descriptor, bus and ids.
@@ -168,6 +173,15 @@ class Bed:
         }  # fmt: skip
 
 
+def is_open(path: str) -> bool:
+    """Return True if a process has opened the file."""
+    for fd in glob.glob("/proc/[0-9]*/fd/*"):
+        with contextlib.suppress(OSError):  # the process has ended, or is another user's
+            if os.readlink(fd) == path:
+                return True
+    return False
+
+
 def main(make: Callable[[dict], Any] = Bed) -> None:
     bed, loop, code = make(json.loads(sys.argv[1])), GLib.MainLoop(), []
     command = sys.argv[2:]
@@ -177,9 +191,14 @@ def main(make: Callable[[dict], Any] = Bed) -> None:
     def run() -> None:
         # In the environment of the C library, to which umockdev has added the paths of the emulated files.
         try:
-            code.append(subprocess.run(command, check=False, timeout=LIMIT_S).returncode)
+            bed.process = subprocess.Popen(command)
+            code.append(bed.process.wait(LIMIT_S))
+            until = time.monotonic() + ZERO_S
+            while "kill_after" in bed.case and is_open(bed.bed.get_root_dir() + bed.path) and time.monotonic() < until:
+                time.sleep(0.01)
         except subprocess.TimeoutExpired:
             print(f"{command}: has not ended within {LIMIT_S:g} s", file=sys.stderr, flush=True)
+            bed.process.kill()
             code.append(124)  # as of timeout(1)
         loop.quit()
 
@@ -187,7 +206,7 @@ def main(make: Callable[[dict], Any] = Bed) -> None:
     loop.run()
     print(json.dumps(bed.seen()), flush=True)
     shutil.rmtree(bed.bed.get_root_dir(), ignore_errors=True)
-    os._exit(code[0])  # umockdev's threads would block the exit of the process
+    os._exit(code[0] & 255)  # umockdev's threads would block the exit of the process
 
 
 if __name__ == "__main__":

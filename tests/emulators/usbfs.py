@@ -10,6 +10,7 @@ SUBMIT, DISCARD, REAP, REAP_NOW = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D
 CAPABILITIES, GET_DRIVER, CLAIM, RELEASE = 0x8004551A, 0x41045508, 0x8004550F, 0x80045510
 SET_CONFIGURATION, RESET, CLEAR_HALT, SET_INTERFACE = 0x80045505, 0x5514, 0x80045515, 0x80085504
 CONTROL = 2
+BULK = 0xC0185502
 
 
 def strings(*texts: str) -> dict[int, bytes]:
@@ -69,6 +70,10 @@ class UsbDevice:
     def transfer(self, stream: Stream, urb: object, end: int, buffer: object, length: int) -> None:
         raise NotImplementedError
 
+    def bulk(self, end: int, data: bytes) -> None:
+        """Receive the data of a transfer that its program waits for."""
+        raise NotImplementedError
+
     def deliver(self, stream: Stream) -> None:
         """Finish waiting transfers for which there are data."""
         raise NotImplementedError
@@ -89,6 +94,11 @@ class UsbDevice:
             code = -ENODATA
         elif request == SUBMIT:
             code = self._submit(stream, argument)
+        elif request == BULK:
+            end, length = struct.unpack_from("<II", bytes(argument.resolve(0, 24).retrieve()))
+            self.bulk(end, bytes(argument.resolve(0, 24).resolve(16, length).retrieve()))
+            client.complete(length, 0)
+            return True
         elif request in (REAP, REAP_NOW):
             code = self._reap(stream, argument)
         elif request == DISCARD:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from helpers.closed_loop import assert_engine_agrees
+from helpers.waits import eventually
 from test_hid_emulated import STROKE
 
 from softfinger.config.load import load_scene
@@ -92,6 +93,12 @@ class Cases:
                 assert running.stop() == 0, running.err
             assert "force is zero" in running.err
             assert not any(pressed.seen()[self.force])
+
+    def test_the_force_of_a_killed_daemon_ends(self, pressed: Gadget, rig: str) -> None:
+        with pushing(rig, pressed, self.in_contact(pressed)) as running:
+            running.kill()
+        assert eventually(lambda: not any(pressed.seen()[self.force]))
+        self.works(pressed, rig)
 
     def test_unplugged_under_force(self, pressed: Gadget, rig: str) -> None:
         description = f"{self.name} ({':'.join(self.ids)}) at /dev/"
