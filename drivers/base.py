@@ -186,12 +186,13 @@ class LastWord(NamedTuple):
 
     A process that inherits the descriptor does not have to open the node. A serial port opened exclusively remains
     exclusive as long as any process has it open. A node on the USB bus can be opened repeatedly, so it has no
-    descriptor here, but the endpoint of interface 0 that receives the bytes.
+    descriptor here, but the interface and its endpoint that receives the bytes.
     """
 
     node: str
     fd: int | None
     zero: bytes
+    interface: int = 0
     endpoint: int = 0
 
 

@@ -50,14 +50,14 @@ class Watcher:
         Descriptor of the open device; None on the USB bus.
     zero
         Bytes that command zero force when written to it.
-    endpoint
-        Endpoint of interface 0 on the USB bus for these bytes; 0 for other nodes.
+    interface, endpoint
+        Destination of these bytes on the USB bus; endpoint 0 for other nodes.
     """
 
-    def __init__(self, node: str, fd: int | None, zero: bytes, endpoint: int) -> None:
+    def __init__(self, node: str, fd: int | None, zero: bytes, interface: int, endpoint: int) -> None:
         self._node, self._restarts = node, 0
         self._fds = () if fd is None else (fd,)
-        self._command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex(), str(endpoint)]
+        self._command = [sys.executable, "-I", "-S", __file__, node, str(fd), zero.hex(), f"{interface}", f"{endpoint}"]
         self._process = self._spawn()
 
     def _spawn(self) -> subprocess.Popen[bytes]:
@@ -90,11 +90,11 @@ class Watcher:
                 self._process.kill()
 
 
-def send(fd: int, data: bytes, endpoint: int) -> int:
-    """Write bytes to a node, or to an endpoint of interface 0 on the USB bus; return how many were accepted."""
+def send(fd: int, data: bytes, interface: int, endpoint: int) -> int:
+    """Write bytes to a node, or to an endpoint on the USB bus; return how many were accepted."""
     if not endpoint:
         return os.write(fd, data)
-    fcntl.ioctl(fd, CLAIM_INTERFACE, struct.pack("I", 0))
+    fcntl.ioctl(fd, CLAIM_INTERFACE, struct.pack("I", interface))
     buffer = array.array("B", data)
     address, length = buffer.buffer_info()
     transfer = bytearray(struct.pack(BULK_TRANSFER, endpoint, length, USB_TIMEOUT_MS, address))
@@ -102,14 +102,14 @@ def send(fd: int, data: bytes, endpoint: int) -> int:
     return accepted
 
 
-def write_zero_force(node: str, fd: int, zero: bytes, endpoint: int) -> str:
+def write_zero_force(node: str, fd: int, zero: bytes, interface: int, endpoint: int) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
     until, zeroed_count, detail = time.monotonic() + WRITE_TIMEOUT_S, 0, "only part of it was accepted"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
         termios.tcflush(fd, termios.TCOFLUSH)
     while zeroed_count < ZERO_WRITES and time.monotonic() < until:
         try:
-            zeroed_count += send(fd, zero, endpoint) == len(zero)
+            zeroed_count += send(fd, zero, interface, endpoint) == len(zero)
         except OSError as error:
             detail = error.strerror or str(error)
         time.sleep(PAUSE_S)
@@ -140,13 +140,13 @@ def main() -> int:
     # Signals that end the daemon may be sent to its process group, and must not end this process first.
     for number in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP, signal.SIGCHLD}:
         signal.signal(number, signal.SIG_IGN)
-    _, node, fd_text, zero, endpoint = sys.argv
+    _, node, fd_text, zero, interface, endpoint = sys.argv
     fd = os.open(node, os.O_RDWR) if int(endpoint) else int(fd_text)
     received = b""
     while data := os.read(0, len(CLOSED_MESSAGE)):
         received += data
     if received != CLOSED_MESSAGE:
-        result = write_zero_force(node, fd, bytes.fromhex(zero), int(endpoint))
+        result = write_zero_force(node, fd, bytes.fromhex(zero), int(interface), int(endpoint))
         print(f"softfinger watcher: the daemon has died: {result}", file=sys.stderr, flush=True)
     return 0
 

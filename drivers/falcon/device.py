@@ -184,7 +184,7 @@ class Falcon(BlockDevice):
     def last_word(self) -> LastWord:
         zero = np.zeros(packets.SIZE, np.uint8)
         packets.encode((0, 0, 0), packets.RED, zero)
-        return LastWord(self._chip.node, None, zero.tobytes(), usb.ENDPOINT_OUT)
+        return LastWord(self._chip.node, None, zero.tobytes(), usb.INTERFACE, usb.ENDPOINT_OUT)
 
     @property
     def counts_per_nm(self) -> float:

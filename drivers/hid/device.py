@@ -19,9 +19,8 @@ from softfinger.drivers.described_board import DESCRIBED, init_described, make_d
 from softfinger.drivers.fields import table
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.exchange import AT
-from softfinger.drivers.hid.link import open_link
+from softfinger.drivers.hid.link import ReportLink, open_link
 from softfinger.drivers.hid.options import Options, OutputReport
-from softfinger.drivers.hid.report_threads import ReportThreads
 from softfinger.drivers.kinematics.mechanism import SINGULAR_POSE
 from softfinger.drivers.kinematics.options import Chain
 from softfinger.drivers.kinematics.subspace import rows as rows
@@ -38,11 +37,11 @@ class HidDevice(BlockDevice):
 
     _functions = exchange.read, exchange.write
 
-    def __init__(self, options: Options, fd: int, threads: ReportThreads | None = None, node: str = "") -> None:
-        self._options, self.threads, self._node = options, threads, node
+    def __init__(self, options: Options, link: ReportLink) -> None:
+        self._options, self._link, self.threads = options, link, link.threads
         spec = options.reports
         self._zero = _encode_report(spec.output, {})
-        self._block = self._make_block(fd)
+        self._block = self._make_block(link.fd)
         name = f"hid {spec.name or 'described'} {options.vendor_id:04x}:{options.product_id:04x}"
         self.info = make_described_info(self._block, options, options.kinematics, name)
         with undo_on_error(self.close):
@@ -108,8 +107,11 @@ class HidDevice(BlockDevice):
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
     def last_word(self) -> LastWord | None:
+        link = self._link
         fd = int(self._block.word[BOARD.fd]) if self.threads is None else self.threads.lock_fd
-        return LastWord(self._node, fd, self._zero) if self._node and fd is not None else None
+        if link.endpoint:  # on the bus, the id 0 is not sent
+            return LastWord(link.node, None, self._zero[not self._zero[0] :], link.interface, link.endpoint)
+        return LastWord(link.node, fd, self._zero) if link.node and fd is not None else None
 
     def _calibrate(self) -> None:
         """Set the encoders to the calibration counts at the arm's present pose.
@@ -176,7 +178,6 @@ def _encode_report(report: OutputReport, commanded: dict[int, float]) -> bytes:
 
 def open_device(options: Options, rate_hz: float) -> HidDevice:
     """Open the device that a rig describes, at any rate; raises DeviceError or a subclass if it cannot be used."""
-    link = open_link(options)
-    device = HidDevice(options, link.fd, link.threads, link.node)
+    device = HidDevice(options, open_link(options))
     exchange.write.ctypes(device.io().handle, (ctypes.c_double * 6)())  # a killed program may have left a force
     return device

@@ -152,17 +152,23 @@ def _make_open_error(path: str, node: str) -> DeviceError:
 _GET_DESCRIPTOR_SIZE: Final = 0x80044801
 _GET_DESCRIPTOR: Final = 0x90044802
 _DESCRIPTOR_MAX: Final = 4096
+USB_DESCRIPTORS_MAX: Final = 65536
+USB_INTERFACE, USB_ENDPOINT = 4, 5
+"""Types of descriptors: number and alternate setting, or address, follow."""
 
 
 class ReportLink(NamedTuple):
     """File descriptor that the exchange reads and writes: a node, or with threads the socket that replaces it.
 
-    node  path of the device's hidraw node; empty on the USB bus
+    node                 path of the device's node; empty on the USB bus without an endpoint for reports
+    interface, endpoint  destination of reports on the USB bus; endpoint 0 on hidraw
     """
 
     fd: int
     threads: ReportThreads | None = None
     node: str = ""
+    interface: int = 0
+    endpoint: int = 0
 
 
 def open_link(options: Options) -> ReportLink:
@@ -176,12 +182,30 @@ def open_link(options: Options) -> ReportLink:
         opened = open_usb(path, options)
         with undo_on_error(partial(_close, opened)):
             check_reports(opened.descriptor, path, options.reports)
-        return make_thread_link(opened.device, options, opened.lock_fd)
+        interface = int(path.rpartition(".")[2])
+        endpoint = find_output_endpoint(os.pread(opened.lock_fd, USB_DESCRIPTORS_MAX, 0), interface)
+        device_entry, link = _find_device(path), make_thread_link(opened.device, options, opened.lock_fd)
+        if endpoint and device_entry is not None:
+            return link._replace(node=device_entry.node, interface=interface, endpoint=endpoint)
+        return link
     fd = open_path(path, options.vendor_id, options.product_id)
     with undo_on_error(partial(os.close, fd)):
         check_reports(_read_descriptor(fd, path), path, options.reports)
         device = _open_hidapi(path) if options.through == "thread" else None
     return ReportLink(fd, None, path) if device is None else make_thread_link(device, options, fd)._replace(node=path)
+
+
+def find_output_endpoint(descriptors: bytes, interface: int) -> int:
+    """Return the endpoint of an interface that receives its output reports; 0 if it has none."""
+    at, is_in_interface = 0, False
+    while at + 4 <= len(descriptors) and descriptors[at] >= 2:
+        kind, number, value = descriptors[at + 1], descriptors[at + 2], descriptors[at + 3]
+        if kind == USB_INTERFACE:
+            is_in_interface = (number, value) == (interface, 0)
+        elif kind == USB_ENDPOINT and is_in_interface and number < 0x80:
+            return number
+        at += descriptors[at]
+    return 0
 
 
 def make_thread_link(device: HidApi, options: Options, lock_fd: int | None = None) -> ReportLink:

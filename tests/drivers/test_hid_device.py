@@ -27,7 +27,7 @@ from softfinger.config.load import build
 from softfinger.drivers.base import HELD, IGNORED_WRENCH_MAX_S, LOST, OK, SAMPLE_SIZE, TIMEOUT, WITHHELD
 from softfinger.drivers.hid import exchange
 from softfinger.drivers.hid.device import HidDevice, Options, open_device
-from softfinger.drivers.hid.link import ReportLink, make_thread_link
+from softfinger.drivers.hid.link import ReportLink, find_output_endpoint, make_thread_link
 from softfinger.drivers.hid.report_threads import QUEUE_BYTES
 from softfinger.drivers.system.libc import write_fd
 from softfinger.proxy.kernels.jit.atomics import call_device
@@ -57,7 +57,7 @@ def test_a_board_that_sends_continuously() -> None:
     with (
         Answering(end, hear) as answering,
         repeated(speak, every_s=0.001),
-        HidDevice(rig_options("woodenhaptics-2015", timeout_s=0.5), fd) as device,
+        HidDevice(rig_options("woodenhaptics-2015", timeout_s=0.5), ReportLink(fd)) as device,
     ):
         time.sleep(1.0)
         arm.place = (0.0, 0.02, 0.01)
@@ -117,13 +117,13 @@ def test_unplugging_is_a_loss() -> None:
 def test_the_last_report_ends_the_force() -> None:
     with woody() as (device, arm, answering):
         assert device.last_word() is None
-        device._node = "/dev/hidraw7"
+        device._link = device._link._replace(node="/dev/hidraw7")
         servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.settle(device)
         assert any(arm.sent[-1])
-        node, fd, zero = device.last_word()
+        node, fd, zero, *_ = device.last_word()
         assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
@@ -133,9 +133,24 @@ def test_the_last_report_of_threads_goes_to_the_node() -> None:
     """The threads' socket has no reader after a kill."""
     options, (fd, end) = rig_options("woodenhaptics-2019"), ends()
     node = os.open("/dev/null", os.O_RDWR)
-    link = make_thread_link(Api(fd), options, node)
-    with end, HidDevice(options, link.fd, link.threads, "/dev/hidraw7") as device:
+    link = make_thread_link(Api(fd), options, node)._replace(node="/dev/hidraw7")
+    with end, HidDevice(options, link) as device:
         assert device.last_word().fd == node
+
+
+def test_the_last_report_on_the_bus_goes_to_the_endpoint() -> None:
+    """USB 2.0, 9.6: the endpoints of an interface follow it; HID 1.11, 4.4: a device may have none for output."""
+    interfaces = [bytes([9, 4, n, 0, 2, 3, 0, 0, 0, 9, 0x21, 0x11, 1, 0, 1, 0x22, 63, 0]) for n in range(3)]
+    ends_0, ends_1 = (bytes([7, 5, 0x81 + n, 3, 64, 0, 1, 7, 5, 0x02 + n, 3, 64, 0, 1]) for n in (0, 2))
+    blob = bytes([18, 1, *range(16), 9, 2, *range(7)]) + interfaces[0] + ends_0 + interfaces[1] + ends_1 + interfaces[2]
+    assert [find_output_endpoint(blob, n) for n in range(4)] == [0x02, 0x04, 0, 0]
+    assert find_output_endpoint(blob[:-40], 2) == find_output_endpoint(b"\0" * 40, 0) == 0
+    options, (fd, end) = rig_options("woodenhaptics-2019"), ends()
+    link = make_thread_link(Api(fd), options)._replace(node="/dev/bus/usb/001/002", interface=1, endpoint=4)
+    with end, HidDevice(options, link) as device:
+        node, no_fd, zero, *to = device.last_word()
+    # The bus needs no report id if a device has a single report.
+    assert (node, no_fd, to, len(zero), any(zero)) == ("/dev/bus/usb/001/002", None, [1, 4], 64, False)
 
 
 def test_calibration_of_a_board_that_pauses() -> None:
@@ -153,7 +168,7 @@ def test_calibration_of_a_board_that_pauses() -> None:
         return None if stored and time.monotonic() < stored[0] else reply
 
     fd, end = ends()
-    with Answering(end, answer), HidDevice(options, fd) as device:
+    with Answering(end, answer), HidDevice(options, ReportLink(fd)) as device:
         assert time.monotonic() >= stored[0]
         np.testing.assert_allclose(DeviceCaller(device).read()[1][:3], resting, atol=COUNT_M)
         assert device.info.sensed_dof == 6  # with its wrist
@@ -190,7 +205,7 @@ def test_reports_give_a_finite_pose_or_a_fault(cases: Callable[[int, int], int])
     stream = generator.integers(0, 256, number + 64, dtype=np.uint8)
     sizes = np.where(np.arange(number) % 4 > 0, 31, generator.integers(1, 64, number))
     good = b"\x03" + struct.pack("<7fBB", 1, 2, 3, 1, 0, 0, 0, 0, 0)
-    with Answering(end, lambda _: good), HidDevice(build(Options, described(), "rig"), fd) as device:
+    with Answering(end, lambda _: good), HidDevice(build(Options, described(), "rig"), ReportLink(fd)) as device:
         assert DeviceCaller(device, arm=False).read()[0] == OK
         io, sample, out = device.io(), np.zeros(SAMPLE_SIZE), np.zeros(4, np.int64)
         fuzz(end.fileno(), io.read, io.handle, stream.ctypes.data, sizes, sample, out)
@@ -237,7 +252,7 @@ class ThreadedBoard(AbstractContextManager[Any]):
         fd, end = ends()
         self.answering, self.api = Answering(end, note), Api(fd)
         link = make_thread_link(self.api, options)
-        self.device = HidDevice(options, link.fd, link.threads)
+        self.device = HidDevice(options, link)
         self.servo = DeviceCaller(self.device)
 
     def force(self, index: int = -1) -> tuple[int, ...]:
@@ -391,7 +406,7 @@ def test_calibration_at_opening(rig: str) -> None:
     fd, end = ends()
     with Answering(end, answer):
         link = make_thread_link(Api(fd), options)
-        with HidDevice(options, link.fd, link.threads) as device:
+        with HidDevice(options, link) as device:
             sample = DeviceCaller(device).read()[1]
             np.testing.assert_allclose(sample[:3], resting, atol=3e-4)  # half a count at each motor
             assert all(not any(words[:3]) for words in arm.sent), "a force during calibration"
@@ -410,7 +425,7 @@ def test_a_failed_calibration_closes_the_device() -> None:
             api = Api(fd)
             link = make_thread_link(api, options)
             with pytest.raises(error, match=message):
-                HidDevice(options, link.fd, link.threads)
+                HidDevice(options, link)
             assert api.closed == 1
 
 

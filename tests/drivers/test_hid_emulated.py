@@ -10,6 +10,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -176,6 +177,15 @@ def test_a_board_is_opened_by_its_reports(connection: str, board: str, rig: str,
     _, saw = run({**case, "place": [0.0, 0.0, 0.004]}, mine, "--duration", "0.5", code=0)
     assert saw["astray"] == 0 and max(saw["most"]) > 0
     assert not any(saw["last"])
+
+
+@pytest.mark.parametrize("board", ["teensy", "teensy-swapped"])
+def test_the_force_of_a_killed_daemon_ends(board: str, tmp_path: Path) -> None:
+    case = {"bus": "usb", "board": board, "arm": "woody-2019", "generation": 2, "place": [0.0, 0.0, 0.004]}
+    rig = patient_rig(tmp_path, "woodenhaptics-2019")
+    process, saw = run(case | {"kill_after": 200}, rig, "--duration", "10", code=256 - signal.SIGKILL)
+    assert "the daemon has died: zero force was written to /dev/bus/usb/001/002" in process.stderr
+    assert max(saw["most"]) > 0 and not any(saw["last"]) and saw["astray"] == 0
 
 
 def test_the_error_names_the_format_of_another_firmware() -> None:

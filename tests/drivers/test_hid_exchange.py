@@ -18,6 +18,7 @@ from softfinger.drivers.fields.table import POSITION, WRIST
 from softfinger.drivers.hid import device, exchange
 from softfinger.drivers.hid.device import HidDevice, Options
 from softfinger.drivers.hid.exchange import AT
+from softfinger.drivers.hid.link import ReportLink
 
 pytestmark = BY_CALL
 
@@ -38,7 +39,7 @@ class Board(FarEnd):
         patch.setattr(exchange, "write_now", self.node.write)
         patch.setattr(board_exchange, "wait_readable", lambda *_: False)
         options = {**described(mounting=MOUNTING, kick_s=0.01, timeout_s=0.1), **changes}
-        self.block = HidDevice(build(Options, options, "rig"), FD)._block
+        self.block = HidDevice(build(Options, options, "rig"), ReportLink(FD))._block
         self.block.fixed = [
             (DESCRIBED.values + WRIST, DESCRIBED.values + POSITION),  # no wrist is sensed
             (DESCRIBED.model, AT.reports),

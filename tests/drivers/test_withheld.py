@@ -18,7 +18,7 @@ from helpers.waits import until
 from softfinger.config.load import build, load_rig, load_scene
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
-from softfinger.drivers.hid.link import make_thread_link
+from softfinger.drivers.hid.link import ReportLink, make_thread_link
 from softfinger.server.driver_contract import PULL, RATE_HZ
 from softfinger.server.loop.servo_thread import ServoThread
 from softfinger.server.loop.tick import Tuning
@@ -83,8 +83,8 @@ def hid(through: str) -> Iterator[Line]:
     options = build(Options, described(force_max_n=PULL_N, kick_s=QUIET_S, timeout_s=2.0), "rig")
     fd, end = ends()
     with Answering(end, answer) as answering:
-        link = None if through == "node" else make_thread_link(Slow(fd), options)
-        with HidDevice(options, fd) if link is None else HidDevice(options, link.fd, link.threads) as device:
+        link = ReportLink(fd) if through == "node" else make_thread_link(Slow(fd), options)
+        with HidDevice(options, link) as device:
 
             def stall(now: bool) -> None:
                 answering.deaf.set() if now else answering.deaf.clear()

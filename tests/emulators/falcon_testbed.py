@@ -35,7 +35,7 @@ CHIP = usbfs.descriptors((0x0403, 0xCB48), 0x0400, 8, 1, INTERFACE + ENDPOINTS)
 
 
 class Bed(usbfs.UsbDevice):
-    device, path = "/devices/pci0000:00/0000:00:14.0/usb1/1-1", "/dev/bus/usb/001/002"
+    device, node_path = "/devices/pci0000:00/0000:00:14.0/usb1/1-1", "/dev/bus/usb/001/002"
 
     def __init__(self, case: dict) -> None:
         self.case, self.made = case, ""
@@ -48,7 +48,7 @@ class Bed(usbfs.UsbDevice):
         self._add()
         self.node = UMockdev.IoctlBase()
         self.node.connect("handle-ioctl", self.handle_ioctl)
-        self.bed.attach_ioctl(self.path, self.node)
+        self.bed.attach_ioctl(self.node_path, self.node)
         path = os.path.join(self.bed.get_root_dir(), "testbed")
         self._serve(path)
         os.environ["SOFTFINGER_TESTBED"] = path  # the program changes the device through this socket
@@ -58,7 +58,8 @@ class Bed(usbfs.UsbDevice):
         attributes = (
             "busnum=1 devnum=2 bConfigurationValue=1 bNumConfigurations=1 idVendor=0403 idProduct=cb48 speed=12"
         )
-        self.bed.add_from_string(usbfs.device_text(self.device, self.path, CHIP, names.split(), attributes.split()))
+        text = usbfs.device_text(self.device, self.node_path, CHIP, names.split(), attributes.split())
+        self.bed.add_from_string(text)
 
     def _past(self, event: str) -> bool:
         return self.falcon.steps >= self.case.get(event, float("inf"))
@@ -144,17 +145,17 @@ class Bed(usbfs.UsbDevice):
             return json.dumps(to_world((0.0, 0.0, 0.0) if self.lost else self.falcon.displayed))
         if word == "place":
             return json.dumps(self.falcon.at)
-        node = os.path.join(self.bed.get_root_dir(), self.path.removeprefix("/"))
+        node = os.path.join(self.bed.get_root_dir(), self.node_path.removeprefix("/"))
         if self.made == "not_found":
             self._add()
-            self.bed.attach_ioctl(self.path, self.node)
+            self.bed.attach_ioctl(self.node_path, self.node)
             self.bed.uevent(f"/sys{self.device}", "add")
         elif self.made == "permission":
             os.chmod(node, 0o600)
         self.made = rest if word == "make" else ""
         if self.made == "not_found":
             self.bed.uevent(f"/sys{self.device}", "remove")
-            self.bed.detach_ioctl(self.path)
+            self.bed.detach_ioctl(self.node_path)
             self.bed.remove_device(f"/sys{self.device}")
         elif self.made == "permission":
             os.chmod(node, 0)

@@ -2,7 +2,7 @@
 
 The first argument is that of testbed.py, and also: block_after (reports until it accepts no more), claimed (true:
 another program has its interface), listed (true: the system's table has a hidraw node that does not exist, as in a
-container). This module is the kernel that libusb calls.
+container), kill_after (reports until the program is killed). This module is the kernel that libusb calls.
 """
 
 import struct
@@ -69,6 +69,13 @@ class UsbBed(usbfs.UsbDevice, testbed.Bed):
         else:
             self.take(b"\0" + bytes(buffer.retrieve())[:length])
             stream.finish(urb, 0, length)
+            if self._past("kill_after") and any(self.woody.sent[-1][:3]):
+                self.process.kill()
+
+    def bulk(self, end: int, data: bytes) -> None:
+        arm = self.board.interfaces[self.board.arm]
+        self.astray += end != arm.end_out or len(data) != arm.bytes_out
+        self.take(b"\0" + data)
 
     def control(self, stream: usbfs.Stream, urb: object, buffer: object) -> None:
         _, request, value, index, length = struct.unpack_from("<BBHHH", bytes(buffer.retrieve()))

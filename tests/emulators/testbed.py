@@ -62,6 +62,7 @@ class Bed:
         self.woody = Woody(case["arm"], generation, intention, mine[mine.index(0x95) + 1])
         self.astray = 0
         """Reports to interfaces other than the arm's."""
+        self.process: subprocess.Popen | None = None
         self.queue: list[bytes] = []
         self.blocked: list[object] = []
         self._wire()
@@ -193,8 +194,8 @@ def main(make: Callable[[dict], Any] = Bed) -> None:
         try:
             bed.process = subprocess.Popen(command)
             code.append(bed.process.wait(LIMIT_S))
-            until = time.monotonic() + ZERO_S
-            while "kill_after" in bed.case and is_open(bed.bed.get_root_dir() + bed.path) and time.monotonic() < until:
+            until, node = time.monotonic() + ZERO_S, bed.bed.get_root_dir() + bed.node_path
+            while "kill_after" in bed.case and is_open(node) and time.monotonic() < until:
                 time.sleep(0.01)
         except subprocess.TimeoutExpired:
             print(f"{command}: has not ended within {LIMIT_S:g} s", file=sys.stderr, flush=True)

@@ -23,7 +23,7 @@ from emulators.woodenhaptics import Woody
 from helpers.rig_files import rig_options
 from softfinger.drivers.base import Device
 from softfinger.drivers.hid.device import HidDevice, Options
-from softfinger.drivers.hid.link import make_thread_link
+from softfinger.drivers.hid.link import ReportLink, make_thread_link
 from softfinger.server import driver_contract
 
 RIGS = {
@@ -166,10 +166,7 @@ class Api:
 
 def opened(options: Options, fd: int, through: str = "node") -> HidDevice:
     """Return the driver on a packet socket: as a node, or through threads with hidapi's calls."""
-    if through == "node":
-        return HidDevice(options, fd)
-    link = make_thread_link(Api(fd), options)
-    return HidDevice(options, link.fd, link.threads)
+    return HidDevice(options, ReportLink(fd) if through == "node" else make_thread_link(Api(fd), options))
 
 
 def ends() -> tuple[int, socket.socket]:

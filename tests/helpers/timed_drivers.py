@@ -26,6 +26,7 @@ from softfinger.drivers.falcon.device import open_device as open_falcon
 from softfinger.drivers.forcedimension import device as forcedimension
 from softfinger.drivers.forcedimension.exchange import AT as FD
 from softfinger.drivers.hid.device import HidDevice
+from softfinger.drivers.hid.link import ReportLink
 from softfinger.drivers.openhaptics.device import open_device as open_touch
 from softfinger.drivers.openhaptics.options import Options as TouchOptions
 from softfinger.drivers.serial.device import SerialDevice
@@ -197,7 +198,7 @@ def hid(_: Path) -> Iterator[Case]:
     fd, end = ends()
     answer, sent = bytes(options.reports.input.bytes), 1 + options.reports.output.bytes
     with (
-        end, HidDevice(options, fd) as device, bare_file(_packet_read, _file_write, fd, sent) as bare,
+        end, HidDevice(options, ReportLink(fd)) as device, bare_file(_packet_read, _file_write, fd, sent) as bare,
         on_socket(device, end, answer, bare) as case,
     ):  # fmt: skip
         yield case
