@@ -181,7 +181,7 @@ def join_names(devices: Iterable[Device]) -> str:
     return ", ".join(device.info.name for device in devices)
 
 
-class LastWord(NamedTuple):
+class ZeroCommand(NamedTuple):
     """Means of another process to zero a device: path of its node, open file descriptor, and bytes to write there.
 
     A process that inherits the descriptor does not have to open the node. A serial port opened exclusively remains
@@ -242,7 +242,7 @@ class Device(Closeable):
         """Return the simulated hand, or None if a person or another source moves the device."""
         return None
 
-    def last_word(self) -> LastWord | None:
+    def zero_command(self) -> ZeroCommand | None:
         """Return the means of another process to command zero; None if there are none."""
         return None
 

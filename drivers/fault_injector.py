@@ -29,8 +29,8 @@ from softfinger.drivers.base import (
     WITHHELD,
     Device,
     DeviceIO,
-    LastWord,
     LeadableHand,
+    ZeroCommand,
 )
 from softfinger.drivers.block import Block, address, counter, lay_out, numbers, word
 from softfinger.drivers.samples import copy_sample
@@ -267,8 +267,8 @@ class FaultInjector(Device):
     def hand(self) -> LeadableHand | None:
         return self._device.hand()
 
-    def last_word(self) -> LastWord | None:
-        return self._device.last_word()
+    def zero_command(self) -> ZeroCommand | None:
+        return self._device.zero_command()
 
     def thread_ids(self) -> list[int]:
         return self._device.thread_ids()

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord, ModelLimits, make_info
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ModelLimits, ZeroCommand, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.falcon import exchange, firmware, packets, usb
@@ -181,10 +181,10 @@ class Falcon(BlockDevice):
         error = int(self._word[AT.error])
         return f"libusb's error {error}" if error else ""
 
-    def last_word(self) -> LastWord:
+    def zero_command(self) -> ZeroCommand:
         zero = np.zeros(packets.SIZE, np.uint8)
         packets.encode((0, 0, 0), packets.RED, zero)
-        return LastWord(self._chip.node, None, zero.tobytes(), usb.INTERFACE, usb.ENDPOINT_OUT)
+        return ZeroCommand(self._chip.node, None, zero.tobytes(), usb.INTERFACE, usb.ENDPOINT_OUT)
 
     @property
     def counts_per_nm(self) -> float:

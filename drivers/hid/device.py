@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, LastWord
+from softfinger.drivers.base import SAMPLE_SIZE, TIMEOUT, ZeroCommand
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
 from softfinger.drivers.closeable import undo_on_error
@@ -106,12 +106,12 @@ class HidDevice(BlockDevice):
     def warning(self) -> str:
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
-    def last_word(self) -> LastWord | None:
+    def zero_command(self) -> ZeroCommand | None:
         link = self._link
         fd = int(self._block.word[BOARD.fd]) if self.threads is None else self.threads.lock_fd
         if link.endpoint:  # on the bus, the id 0 is not sent
-            return LastWord(link.node, None, self._zero[not self._zero[0] :], link.interface, link.endpoint)
-        return LastWord(link.node, fd, self._zero) if link.node and fd is not None else None
+            return ZeroCommand(link.node, None, self._zero[not self._zero[0] :], link.interface, link.endpoint)
+        return ZeroCommand(link.node, fd, self._zero) if link.node and fd is not None else None
 
     def _calibrate(self) -> None:
         """Set the encoders to the calibration counts at the arm's present pose.

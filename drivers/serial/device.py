@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from softfinger.config.errors import DeviceError, DeviceLost, DeviceTimeout
-from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, LastWord, make_info
+from softfinger.drivers.base import LOST, SAMPLE_SIZE, TIMEOUT, ZeroCommand, make_info
 from softfinger.drivers.block import Block, BlockDevice
 from softfinger.drivers.board_exchange import BOARD, BoardTimes, init_exchange
 from softfinger.drivers.closeable import undo_on_error
@@ -199,8 +199,8 @@ class SerialDevice(BlockDevice):
             return BLOCKED
         return SINGULAR_POSE if self._block.word[DESCRIBED.singular] else ""
 
-    def last_word(self) -> LastWord:
-        return LastWord(self._path, int(self._block.word[BOARD.fd]), self._zero)
+    def zero_command(self) -> ZeroCommand:
+        return ZeroCommand(self._path, int(self._block.word[BOARD.fd]), self._zero)
 
 
 def _encode_frame(frame: OutputFrame, spec: Frames) -> bytes:

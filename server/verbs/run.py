@@ -146,7 +146,7 @@ def start_watchers(daemon: Daemon, watchers: list[Watcher], required: bool) -> N
     Raises ConfigError if `required` and there is another device.
     """
     for device in daemon.devices:
-        zero_command = device.last_word()
+        zero_command = device.zero_command()
         if zero_command is not None:
             watchers.append(Watcher(*zero_command))
             log.info("watcher: another process removes the force of %s if this one is killed", device.info.name)

@@ -116,14 +116,14 @@ def test_unplugging_is_a_loss() -> None:
 
 def test_the_last_report_ends_the_force() -> None:
     with woody() as (device, arm, answering):
-        assert device.last_word() is None
+        assert device.zero_command() is None
         device._link = device._link._replace(node="/dev/hidraw7")
         servo = DeviceCaller(device)
         servo.read()
         servo.write(0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
         answering.settle(device)
         assert any(arm.sent[-1])
-        node, fd, zero, *_ = device.last_word()
+        node, fd, zero, *_ = device.zero_command()
         assert node == "/dev/hidraw7" and os.fstat(fd)
         arm.answer(zero)
         assert not any(arm.sent[-1])
@@ -135,7 +135,7 @@ def test_the_last_report_of_threads_goes_to_the_node() -> None:
     node = os.open("/dev/null", os.O_RDWR)
     link = make_thread_link(Api(fd), options, node)._replace(node="/dev/hidraw7")
     with end, HidDevice(options, link) as device:
-        assert device.last_word().fd == node
+        assert device.zero_command().fd == node
 
 
 def test_the_last_report_on_the_bus_goes_to_the_endpoint() -> None:
@@ -148,7 +148,7 @@ def test_the_last_report_on_the_bus_goes_to_the_endpoint() -> None:
     options, (fd, end) = rig_options("woodenhaptics-2019"), ends()
     link = make_thread_link(Api(fd), options)._replace(node="/dev/bus/usb/001/002", interface=1, endpoint=4)
     with end, HidDevice(options, link) as device:
-        node, no_fd, zero, *to = device.last_word()
+        node, no_fd, zero, *to = device.zero_command()
     # The bus needs no report id if a device has a single report.
     assert (node, no_fd, to, len(zero), any(zero)) == ("/dev/bus/usb/001/002", None, [1, 4], 64, False)
 

@@ -22,7 +22,7 @@ import pytest
 from helpers.waits import ends_within
 
 from softfinger.config.errors import HapticError, SafetyStop
-from softfinger.drivers.base import LastWord
+from softfinger.drivers.base import ZeroCommand
 from softfinger.server import watcher
 from softfinger.server.loop.fault_detection import STALL_MAX_S, STALL_POLL_S, STALL_POLLS, STALL_POLLS_WITHOUT_HAND
 from softfinger.server.services import supervisor as supervising
@@ -216,7 +216,7 @@ def test_a_failed_zero_is_reported() -> None:
 
 def test_a_stopped_watcher_does_not_delay_the_end(port: tuple[int, int]) -> None:
     _, near = port
-    watching = watcher.Watcher(*LastWord(os.ttyname(near), near, ZERO))
+    watching = watcher.Watcher(*ZeroCommand(os.ttyname(near), near, ZERO))
     pid = watching._process.pid
     os.kill(pid, signal.SIGSTOP)
     with ends_within(60):
@@ -226,7 +226,7 @@ def test_a_stopped_watcher_does_not_delay_the_end(port: tuple[int, int]) -> None
 
 def test_a_watcher_that_ends_repeatedly_is_reported_once(port: tuple[int, int]) -> None:
     _, near = port
-    watching = watcher.Watcher(*LastWord(os.ttyname(near), near, ZERO))
+    watching = watcher.Watcher(*ZeroCommand(os.ttyname(near), near, ZERO))
     reports = [watching.supervise()]
     for _ in range(watcher.RESTARTS + 1):
         watching._process.kill()
@@ -247,8 +247,8 @@ def test_a_watcher_is_known_if_the_next_one_cannot_start(monkeypatch: pytest.Mon
         return node
 
     monkeypatch.setattr(run, "Watcher", start)
-    words = [LastWord(node, 3, ZERO) for node in ("first", "second")]
-    devices = [SimpleNamespace(last_word=lambda word=word: word, info=SimpleNamespace(name="x")) for word in words]
+    words = [ZeroCommand(node, 3, ZERO) for node in ("first", "second")]
+    devices = [SimpleNamespace(zero_command=lambda word=word: word, info=SimpleNamespace(name="x")) for word in words]
     watchers: list[Any] = []
     with pytest.raises(OSError, match="temporarily"):
         run.start_watchers(SimpleNamespace(devices=devices), watchers, False)  # type: ignore[arg-type]
