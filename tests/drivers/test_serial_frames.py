@@ -290,7 +290,9 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
     assert decode_counts(frame, 2 * answer, [12, 6], aligned=True) == [0.5]
     assert decode_counts(frame, answer[:-1], [8], aligned=True) == []
     assert decode_counts(frame, answer + b"\x05", [10], aligned=True) == []
-    assert decode_counts(frame, b"\x06" + answer[1:], [9], aligned=True) == []
+    assert decode_counts(frame, 2 * answer, [18], aligned=True) == [0.5]
+    for damaged in (b"\x06" + answer[1:], b"\x06" + answer[1:] + answer, answer + b"\x06" + answer[1:]):
+        assert decode_counts(frame, damaged, [len(damaged)], aligned=True) == []
     for bad in (float("nan"), float("inf"), 5.0):
         assert decode_counts(frame, b"\x05" + struct.pack("<ff", 1.0, bad), [9], aligned=True) == []
     shipped = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames

@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -80,12 +81,13 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
 
 
 def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
-    events, ended, served = [], [], []
+    events, ended, served, deadlines_ns = [], [], [], []
 
     class Failing:
         is_reachable = True
 
-        def set_deadline(self, time_ns: int) -> None: ...
+        def set_deadline(self, time_ns: int) -> None:
+            deadlines_ns.append(time_ns)
 
         def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
@@ -99,9 +101,12 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
         event=lambda *words, **more: events.append((words, more)),
     )
     commands = CommandService("ipc:///nowhere", rendering, actions, "a scene")
+    started_ns = time.monotonic_ns()
     commands.start()
     served[0].each_period()
     commands.stop()
+    # The loop turns the force off at this time, also if Python does not run; a microsecond for rounding of seconds.
+    assert started_ns - 1000 <= deadlines_ns[0] + 10**9 <= time.monotonic_ns() + 1000
     assert events == [(("fault", "commands"), {"message": "no memory"})]
     assert served[1] is None
     assert all(isinstance(error, SafetyStop) and "no memory" in str(error) for error in ended) and len(ended) == 1
