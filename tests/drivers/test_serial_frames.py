@@ -88,7 +88,7 @@ def test_the_published_frame(end: bytes) -> None:
 
 def test_frames_to_the_device() -> None:
     assert encode(0.1, -2.0, 3.3333) == pad_frame(b"100 -2000 3333 2 0 0 0")
-    assert encode(0.0, -0.0, 0.0) == pad_frame(b"0 0 0 2 0 0 0")
+    assert encode(0.0, -0.0, 0.0) == frames.ZERO == pad_frame(b"0 0 0 2 0 0 0")
     assert encode(-0.0004, 0.0006, 0.009) == pad_frame(b"0 1 9 2 0 0 0")
     assert encode(32.0, -32.0, 10.0) == pad_frame(b"32000 -32000 10000 2 0 0 0")
 
