@@ -206,6 +206,7 @@ def test_drops_of_all_rings_are_counted():
         count = rings.take(out)
         assert out[:count, 0].tolist() == ring_records and rings.drops == drops
     rings.close()
+    assert rings.wake_fd < 0
 
 
 def test_capacity_is_a_power_of_two():
