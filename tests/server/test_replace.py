@@ -241,10 +241,16 @@ def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driv
 
 @pytest.mark.parametrize(
     ("refuses", "error", "message", "opened"),
-    [("opening", DeviceNotFound, "plug it in", 1), ("arming", DeviceError, "force button", 2)],
+    [
+        ("opening", DeviceNotFound, "plug it in", 1),
+        ("arming", DeviceError, "force button", 2),
+        ("zero", DeviceError, r"zero force is not confirmed \(it is stuck\)", 1),
+    ],
 )
-def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver):
+def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver, monkeypatch):
     first, second = load_scenes()
+    if refuses == "zero":
+        monkeypatch.setattr(FaultyDevice, "zero_failure", lambda device: "it is stuck")
     with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
