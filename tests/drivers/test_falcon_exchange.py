@@ -259,11 +259,13 @@ def test_statuses_of_a_transfer_from_the_device(ends: int, status: int, error: i
     assert usb.read()[0] == status and usb.word[AT.error] == error
 
 
-def test_a_signal_during_events_is_no_fault(usb: Usb) -> None:
+def test_an_error_during_events_is_a_fault_unless_it_is_a_signal(usb: Usb) -> None:
     usb.interrupted = True
     assert usb.read(reply(1))[0] == STALE
     usb.interrupted = False
     assert usb.read()[0] == OK
+    usb.error = ERROR_IO
+    assert usb.read()[0] == LOST and usb.word[AT.error] == ERROR_IO
 
 
 def test_a_rejected_transfer_is_not_pending(usb: Usb) -> None:

@@ -264,6 +264,9 @@ def test_two_falcons_by_serial_number(stub: UsbStub, bench: FalconBench) -> None
             statuses.append(servo.read()[0])
             servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         assert set(statuses) <= {OK, WITHHELD} and OK in statuses  # withheld after a pause
+    stub[1, "attached"] = 0
+    with pytest.raises(DeviceNotFound, match="no Falcon has the serial number 'SN2': attached are 'SN1'"):
+        bench.open(serial="SN2")
     assert not any(stub.motors(1))
     assert (stub["misuse"], stub["allocated"], stub["flying"], stub[1, "flying"]) == (0, 0, 0, 0)
     assert stub[1, "opens"] == stub[1, "closes"]

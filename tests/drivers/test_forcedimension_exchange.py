@@ -118,6 +118,15 @@ def test_a_frame_is_a_pose_in_the_world(library: Library) -> None:
     assert library.counts() == {"reads": 4}
 
 
+@pytest.mark.parametrize(("sign", "angle"), [(-1, -0.25), (0, 0.0)])
+def test_a_device_without_a_wrist_has_a_position_and_maybe_a_gripper(sign: int, angle: float, library: Library) -> None:
+    library.word[AT.has_frame], library.word[AT.gripper_sign] = 0, sign
+    status, sample = library.read()
+    assert status == OK and library.calls == ["get_position", "get_buttons", "get_gripper"][: 2 + abs(sign)]
+    np.testing.assert_allclose(sample[:3], TO_WORLD @ library.place, atol=1e-15)
+    assert sample[3:7].tolist() == [1.0, 0.0, 0.0, 0.0] and sample[9] == angle
+
+
 @pytest.mark.parametrize("name", NO_ROTATIONS)
 def test_a_matrix_that_is_no_rotation_is_an_orientation_of_nan(name: str, library: Library) -> None:
     library.rotation = NO_ROTATIONS[name]
@@ -213,6 +222,15 @@ def test_a_failed_status_call_is_a_failure(library: Library) -> None:
 
 
 # --- forces ---
+
+
+@pytest.mark.parametrize("has_torque", [0, 1])
+def test_a_wrench_is_sent_in_the_librarys_frame(has_torque: int, library: Library) -> None:
+    library.word[AT.has_torque] = has_torque
+    force, torque = (1.0, 2.0, 3.0), (0.1, 0.2, 0.3)
+    assert library.write(*force, *torque) == OK and library.calls == ["set_wrench"]
+    ((*sent, gripper),) = library.wrenches
+    assert sent == [*TO_WORLD.T @ force, *TO_WORLD.T @ torque * has_torque] and gripper == 0.0
 
 
 @pytest.mark.parametrize("place", range(6))

@@ -1,13 +1,16 @@
 """Exchange of the servo with a Haply's block, call by call: poses, wrenches, withheld forces and counters."""
 
 import ctypes
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.plain_by_call import BY_CALL, HALF, MS, SHIFT, START_NS, FarEnd, File, GuardedBlock, by_call, check_pose
 
+from softfinger.config.errors import DeviceLost, DeviceTimeout
 from softfinger.drivers.base import HELD, LOST, OK, STALE, TIMEOUT, WITHHELD
+from softfinger.drivers.haply import device as haply_device
 from softfinger.drivers.haply import exchange
 from softfinger.drivers.haply.exchange import AT, ServiceFrame
 from softfinger.proxy.kernels.jit.pack import flatten
@@ -171,3 +174,38 @@ def test_a_force_that_waits_to_be_sent_is_not_replaced(device: Device) -> None:
     device.word[AT.armed], device.word[AT.handled] = 1, device.word[AT.written]
     assert device.write(0.0, 4.0, 0.0, 0.0, 0.0, 0.0) == OK
     assert device.last_wrench()[0] == pytest.approx(4.0) and device.word[AT.lock] == 0
+
+
+def test_arming_waits_for_a_current_state(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = haply_device.HaplyDevice.__new__(haply_device.HaplyDevice)
+    opened._block, opened._options, opened.info = (
+        device.block,
+        SimpleNamespace(timeout_s=0.1),
+        SimpleNamespace(name="x"),
+    )
+    opened._thread = SimpleNamespace(failure="gone")
+    waits = 5
+
+    def sleep(_: float) -> None:
+        nonlocal waits
+        device.clock.now += MS
+        waits -= 1
+        if waits == 0:
+            device.word[AT.states] += 1
+
+    time = SimpleNamespace(monotonic=lambda: device.clock.now * 1e-9, sleep=sleep)
+    monkeypatch.setattr(haply_device, "time", time)
+    device.word[AT.armed], device.word[AT.dropped] = 0, 3
+    opened.arm()
+    assert waits == 0 and device.word[AT.armed] == 1 and device.word[AT.dropped_reported] == 3
+    device.word[AT.armed], started = 0, device.clock.now
+    with pytest.raises(DeviceTimeout, match="no longer sends states"):
+        opened.arm()
+    assert device.word[AT.armed] == 0 and 100 * MS <= device.clock.now - started <= 102 * MS
+    device.word[AT.failed] = LOST
+    with pytest.raises(DeviceLost, match="gone"):
+        opened.arm()
+    assert device.word[AT.armed] == 0
+    device.word[AT.failed], device.word[AT.stopped] = 0, 1
+    opened.arm()
+    assert device.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD

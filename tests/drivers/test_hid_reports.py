@@ -112,6 +112,9 @@ def test_descriptors_give_report_lengths() -> None:
     assert str(parse_descriptor(numbered)) == "input 6 bytes with id 1 and 2 bytes with id 2, output none"
     with pytest.raises(ValueError, match="truncated"):
         parse_descriptor(numbered[:5])
+    # Long items, which HID 1.11 reserves: prefix, number of data bytes, tag, data. The last one is incomplete.
+    long_item = bytes.fromhex("fe 02 f0 81 02")
+    assert parse_descriptor(long_item + numbered + long_item + b"\xfe") == ({1: 6, 2: 2}, {})
 
 
 @pytest.mark.parametrize(

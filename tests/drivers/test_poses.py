@@ -60,11 +60,12 @@ def test_csv_in_any_column_order(tmp_path: Path) -> None:
         (HEADER + ROWS + "0.03,0,0,0,0.1,0,0,0\n", "line 5, columns 'qw' to 'qz': quaternion of norm 0.1"),
         (HEADER + ROWS + "0.03,1e9,0,0,1,0,0,0\n", "line 5, column 'x': 1e.09 m is outside"),
         (HEADER + "1e308,0,0,0,1,0,0,0\n-1e308,0,0,0,1,0,0,0\n", "line 3, column 't'"),
+        (HEADER + ROWS + "\xff\n", "line 5: not a text file"),
     ],
 )
 def test_csv_fault_is_located(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.csv"
-    path.write_text(text)
+    path.write_text(text, encoding="latin-1")
     with pytest.raises(RecordingError, match="bad.csv.*" + message):
         load_poses(path)
 

@@ -11,7 +11,7 @@ from helpers.waits import fresh, until
 
 from softfinger.config.errors import DeviceError
 from softfinger.config.errors import DeviceTimeout as NoAnswer
-from softfinger.drivers.base import OK, STALE
+from softfinger.drivers.base import LOST, OK, STALE, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.server.driver_contract import DeviceCaller
 
@@ -76,3 +76,13 @@ def test_a_sleeping_board_is_woken_at_opening() -> None:
         ):
             opened(cable, wake_s=0.2)
         assert all(not any(words[:3]) for words in cable.board.sent)
+
+
+def test_a_closed_device_uses_no_file_descriptor() -> None:
+    """Another file may have the number of the closed port."""
+    with board() as (device, _, _):
+        servo = DeviceCaller(device)
+    word = device.last_word()
+    assert servo.read()[0] == LOST and servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
+    assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
+    assert word is not None and word.fd == -1

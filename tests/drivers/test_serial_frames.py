@@ -88,7 +88,7 @@ def test_the_published_frame(end: bytes) -> None:
 
 def test_frames_to_the_device() -> None:
     assert encode(0.1, -2.0, 3.3333) == pad_frame(b"100 -2000 3333 2 0 0 0")
-    assert encode(0.0, -0.0, 0.0) == pad_frame(b"0 0 0 2 0 0 0")
+    assert encode(0.0, -0.0, 0.0) == frames.ZERO == pad_frame(b"0 0 0 2 0 0 0")
     assert encode(-0.0004, 0.0006, 0.009) == pad_frame(b"0 1 9 2 0 0 0")
     assert encode(32.0, -32.0, 10.0) == pad_frame(b"32000 -32000 10000 2 0 0 0")
 
@@ -290,7 +290,9 @@ def test_an_answer_without_a_checksum_is_known_by_its_length() -> None:
     assert decode_counts(frame, 2 * answer, [12, 6], aligned=True) == [0.5]
     assert decode_counts(frame, answer[:-1], [8], aligned=True) == []
     assert decode_counts(frame, answer + b"\x05", [10], aligned=True) == []
-    assert decode_counts(frame, b"\x06" + answer[1:], [9], aligned=True) == []
+    assert decode_counts(frame, 2 * answer, [18], aligned=True) == [0.5]
+    for damaged in (b"\x06" + answer[1:], b"\x06" + answer[1:] + answer, answer + b"\x06" + answer[1:]):
+        assert decode_counts(frame, damaged, [len(damaged)], aligned=True) == []
     for bad in (float("nan"), float("inf"), 5.0):
         assert decode_counts(frame, b"\x05" + struct.pack("<ff", 1.0, bad), [9], aligned=True) == []
     shipped = build(Options, load_rig("haply-2diy").device.options, "haply-2diy").frames

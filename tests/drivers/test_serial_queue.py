@@ -19,7 +19,7 @@ from helpers.described_boards import rig_options
 from helpers.plain_by_call import BY_CALL, MS, by_call
 from test_serial_exchange import Board, frame
 
-from softfinger.drivers import board_exchange
+from softfinger.drivers import block, board_exchange
 from softfinger.drivers.base import HELD, OK, SAMPLE_SIZE, STALE, TIMEOUT, WITHHELD
 from softfinger.drivers.board_exchange import BOARD
 from softfinger.drivers.serial import device, exchange, queue
@@ -163,19 +163,25 @@ class Run:
         by_call(patch, queue)
         patch.setattr(queue, "read_monotonic_ns", self.clock)
         patch.setattr(exchange, "write_now", self.port.write)
-        patch.setattr(queue, "count_unsent", lambda fd, word: self.port.unsent())
+        patch.setattr(queue, "count_unsent", self._count_unsent)
         patch.setattr(queue, "drop_unsent", lambda fd: self.port.flush())
         patch.setattr(board_exchange, "wait_readable", lambda *_: self.sleep(0.001))
         patch.setattr(device, "count_unsent", self._unsent)
-        patch.setattr(device, "time", SimpleNamespace(
-            monotonic=lambda: self.clock.now * 1e-9, monotonic_ns=lambda: self.clock.now, sleep=self.sleep,
-        ))  # fmt: skip
+        time = SimpleNamespace(
+            monotonic=lambda: self.clock.now * 1e-9, monotonic_ns=lambda: self.clock.now, sleep=self.sleep
+        )
+        for module in (device, block):
+            patch.setattr(module, "time", time)
         patch.setattr(CFunction, "ctypes", property(lambda function: lambda handle: int(function(handle))))
         self.device = SerialDevice.__new__(SerialDevice)
         self.device._block, self.device._zero_failure = self.driver.block, ""
         self.device.info = SimpleNamespace(name="serial")
         self.word[AT.counts_unsent] = 1
         self.statuses: list[int] = []
+
+    def _count_unsent(self, fd: int, word: int) -> int:
+        assert word == self.driver.block.handle + 8 * AT.ioctl_scratch
+        return self.port.unsent()
 
     def _unsent(self, fd: int) -> int:
         if self.port.error:
@@ -263,8 +269,14 @@ def test_a_stop_reports_why_its_zero_is_not_confirmed(monkeypatch, caplog):
     run.device.stop()
     assert run.device.zero_failure() == ""
     monkeypatch.setattr(exchange, "write_now", lambda *_: -EAGAIN)
+    started = run.clock.now
     run.device.stop()
     assert run.device.zero_failure() == "the port has accepted no data for 1 s"
+    assert 1000 * MS < run.clock.now - started < 1010 * MS
+    refusals = iter([-EAGAIN] * 3)
+    monkeypatch.setattr(exchange, "write_now", lambda *call: next(refusals, None) or run.port.write(*call))
+    run.device.stop()
+    assert run.device.zero_failure() == "" and next(refusals, None) is None
     run.port.error = EIO
     monkeypatch.setattr(exchange, "write_now", run.port.write)
     run.device.stop()

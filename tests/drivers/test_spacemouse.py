@@ -308,6 +308,7 @@ def attach(root: Path, name: str, nodes: dict[str, str]) -> None:
     [
         ({"start_m": [0.0, 0.0, 0.2]}, "start_m = .*outside of the workspace"),
         ({"workspace_min_m": [0.2, 0.0, 0.0]}, "workspace_min_m = .*is above workspace_max_m"),
+        ({"start_m": "here"}, "start_m = 'here'"),
     ],
 )
 def test_wrong_options_are_named(wrong: dict[str, Any], message: str) -> None:

@@ -22,7 +22,7 @@ from helpers.waits import WAIT_S
 
 from softfinger.config.errors import ConfigError
 from softfinger.proxy.record import AT, FIELDS
-from softfinger.server.wire.client import NoTelemetry, Window, subscribe
+from softfinger.server.wire.client import SAMPLES_MAX, NoTelemetry, Window, subscribe
 from softfinger.server.wire.protocol import MAX_BYTES, TOPICS, ProtocolError, encode
 from softfinger.server.wire.publisher import Publisher
 
@@ -194,6 +194,12 @@ def test_malformed_endpoint_is_refused(endpoint):
 def test_unknown_topics_are_refused(topics):
     with pytest.raises(ConfigError, match="choose from contact, event, health"):
         subscribe(topics=topics)
+
+
+@pytest.mark.parametrize("samples", [0, SAMPLES_MAX + 1, 10.0])
+def test_an_impossible_length_of_a_window_is_refused(samples):
+    with pytest.raises(ConfigError, match=f"samples = {samples}: must be an integer from 1 to 1000000"):
+        Window(samples=samples)
 
 
 GOOD = contact_map(synthetic(1)[0])

@@ -147,6 +147,7 @@ def test_a_fault_of_one_device_changes_only_its_finger(fault: Any, undisturbed_r
     assert undisturbed_records[during, 1, force].min() > 0.4 and np.isfinite(records).all()
     if fault == "nan":
         assert (index[during, AT.servo_guard] == POSE_REFUSED).all() and (index[during, AT.contact_mode] == FREE).all()
+        assert not index[during, AT.contact_budget].any()
     else:
         wanted = HELD if fault == "held" else WITHHELD
         assert (index[:, AT.servo_device] == wanted).nonzero()[0].tolist() == list(range(300, 320))

@@ -42,6 +42,7 @@ def test_force_is_off_after_the_loop_has_read_the_switch(at: int) -> None:
     loop.ticks = at + SWITCH_TICKS - 1
     assert not loop.force.is_off
     loop.ticks = at + SWITCH_TICKS
+    loop.force.inhibit(COMMANDED_REASON)  # a further reason changes nothing
     assert loop.force.is_off
     loop.switch[IS_ACTIVE] = 1
     assert not loop.force.is_off

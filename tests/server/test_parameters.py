@@ -14,12 +14,13 @@ from softfinger.config.schema import Scene
 from softfinger.drivers.base import Device, DeviceInfo, DeviceIO
 from softfinger.proxy.record import AT
 from softfinger.server.loop.force_switch import make_switch
-from softfinger.server.loop.servo_thread import ServoThread
+from softfinger.server.loop.servo_thread import RING_SECONDS, ServoThread
+from softfinger.server.loop.switch_fields import IS_REQUESTED
 from softfinger.server.loop.tick import Tuning
 from softfinger.server.offline.simulate import simulate
 from softfinger.server.services import rendering
 from softfinger.server.services.rendering import CHANGE_WAIT_S, Rendering, SceneReplacement
-from softfinger.server.states import StateMachine
+from softfinger.server.states import COMMANDED_REASON, StateMachine
 
 pytestmark = pytest.mark.plain
 
@@ -27,7 +28,7 @@ RAMP_TICKS = 510
 """After this many ticks the guard of the rig `replay` transmits the full force."""
 ROUNDING = 1e-12
 """Relative; a force is the result of about ten operations on numbers of similar size."""
-MakeRendering = Callable[[Scene], Rendering]
+MakeRendering = Callable[..., Rendering]
 STIFFNESS = "object.lid.top.material.stiffness_n_per_m"
 NORMAL = "object.0.material.normal"
 
@@ -59,9 +60,9 @@ def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeRendering]:
     renderings: list[Rendering] = []
     monkeypatch.setattr(rendering, "open_finger_devices", lambda scene, rig: (AbsentDevice(),))
 
-    def make(scene: Scene) -> Rendering:
+    def make(scene: Scene, words: np.ndarray | None = None) -> Rendering:
         ends = lambda: lambda: None  # noqa: E731
-        renderings.append(Rendering(load_rig("replay"), scene, None, ends, None, StateMachine(), make_switch()))
+        renderings.append(Rendering(load_rig("replay"), scene, None, ends, None, StateMachine(), make_switch(words)))
         return renderings[-1]
 
     yield make
@@ -72,6 +73,23 @@ def make_rendering(monkeypatch: pytest.MonkeyPatch) -> Iterator[MakeRendering]:
 def press_to_rest(tuning: Tuning, depth_m: float = DEPTH_M) -> np.ndarray:
     pose = [0.0, 0.0, 0.01 - depth_m, 1.0, 0.0, 0.0, 0.0]
     return simulate(tuning, np.array([[pose]] * RAMP_TICKS), 1000.0)[-1, 0]
+
+
+def test_every_loop_reads_the_switch_that_other_processes_write(make_rendering: MakeRendering) -> None:
+    words = np.zeros(8, np.int64)
+    made = make_rendering(pressed_scene(), words)
+    next_loop = made.servo.make_loop(made.servo.devices, made.servo.tuning, 1000.0)
+    assert made.servo.shared.switch is words and next_loop.shared.switch is words
+    assert made.force.is_requested and words[IS_REQUESTED] == 1
+    made.force.inhibit(COMMANDED_REASON)
+    assert words[IS_REQUESTED] == 0
+
+
+def test_a_loop_of_another_rate_gets_a_ring_of_its_own(make_rendering: MakeRendering) -> None:
+    servo = make_rendering(pressed_scene()).servo
+    assert servo.make_loop(servo.devices, servo.tuning, 1000.0).shared.ring is servo.shared.ring
+    fast = servo.make_loop(servo.devices, servo.tuning, 4000.0).shared.ring
+    assert len(fast.slots) == 4 * len(servo.shared.ring.slots) >= RING_SECONDS * 4000
 
 
 def test_the_law_of_the_normal_force_and_the_patch_are_parameters(applied_tunings, make_rendering):

@@ -78,9 +78,13 @@ def turn_pose(angle: float) -> tuple[float, ...]:
     return (0.0, 0.0, 0.0, math.cos(0.5 * angle), 0.0, math.sin(0.5 * angle), 0.0)
 
 
-def test_a_pose_faster_than_the_speed_limit_is_a_jump() -> None:
-    assert check([pose_at(5.0), pose_at(5.0099), pose_at(5.0)]) == [0, 0, 0]
-    assert check([pose_at(0.0), pose_at(0.0101), pose_at(0.0)]) == [0, POSE_JUMPED, POSE_JUMPED]
+@pytest.mark.parametrize("axis", range(3))
+def test_a_pose_faster_than_the_speed_limit_is_a_jump(axis: int) -> None:
+    def check_along_axis(*numbers: float) -> list[int]:
+        return check([replace_number(axis, number).tolist() for number in numbers])
+
+    assert check_along_axis(5.0, 5.0099, 5.0) == [0, 0, 0]
+    assert check_along_axis(0.0, 0.0101, 0.0) == [0, POSE_JUMPED, POSE_JUMPED]
 
 
 def test_a_rotation_faster_than_the_turn_limit_is_a_jump() -> None:
@@ -94,7 +98,12 @@ def test_a_held_pose_extends_the_time_for_the_next_one() -> None:
     for waiting, status in ((pose_at(0.0), STALE), (broken, OK)):
         for x, expected in ((0.059, 0), (0.061, POSE_JUMPED)):
             assert check([pose_at(0.0), *[waiting] * 5, pose_at(x)], [OK, *[status] * 5, OK]) == [0] * 6 + [expected]
+        for angle, expected in ((0.59, 0), (0.61, POSE_JUMPED)):
+            assert check([turn_pose(0.0), *[waiting] * 5, turn_pose(angle)], [OK, *[status] * 5, OK])[-1] == expected
     assert check([pose_at(0.0)] * 6 + [pose_at(0.059)])[-1] == POSE_JUMPED  # the driver reported them as new
+    # At 100 rad/s every rotation is possible after 31.4 ms.
+    assert check([turn_pose(0.0)] + [broken] * 30 + [turn_pose(3.14)])[-1] == POSE_JUMPED
+    assert check([turn_pose(0.0)] + [broken] * 31 + [turn_pose(3.14)])[-1] == 0
 
 
 def test_a_repeated_pose_is_frozen_only_under_a_force() -> None:

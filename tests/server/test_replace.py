@@ -3,6 +3,7 @@
 import gc
 import os
 import threading
+import time
 import weakref
 from contextlib import contextmanager
 
@@ -17,6 +18,7 @@ from softfinger.config.load import load_rig, load_scene
 from softfinger.proxy.record import AT
 from softfinger.server.app import Daemon
 from softfinger.server.loop import realtime
+from softfinger.server.loop.fault_detection import STALL_MAX_S
 from softfinger.server.loop.force_switch import MAX_OFF_S
 from softfinger.server.services import rendering
 from softfinger.server.services.records import Sink
@@ -241,10 +243,16 @@ def test_a_device_that_stays_keeps_arming_and_offset_but_a_new_one_does_not(driv
 
 @pytest.mark.parametrize(
     ("refuses", "error", "message", "opened"),
-    [("opening", DeviceNotFound, "plug it in", 1), ("arming", DeviceError, "force button", 2)],
+    [
+        ("opening", DeviceNotFound, "plug it in", 1),
+        ("arming", DeviceError, "force button", 2),
+        ("zero", DeviceError, r"zero force is not confirmed \(it is stuck\)", 1),
+    ],
 )
-def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver):
+def test_a_device_that_cannot_be_used_ends_the_run_at_zero(refuses, error, message, opened, driver, monkeypatch):
     first, second = load_scenes()
+    if refuses == "zero":
+        monkeypatch.setattr(FaultyDevice, "zero_failure", lambda device: "it is stuck")
     with Daemon(make_faulty_rig(), first) as running:
         running.start()
         assert eventually(lambda: running.servo.ticks > 100)
@@ -271,6 +279,19 @@ def test_a_stop_during_a_replacement_arms_nothing(driver):
         assert running.wait(60.0)
     assert "arm" not in acts(driver.devices[1]) and "close" in acts(driver.devices[1])
     assert "close" in acts(driver.devices[0])
+
+
+def test_a_device_that_opens_slowly_is_no_stall(driver):
+    with started(make_faulty_rig(), load_scene("paper-plane")) as running:
+        opening = driver.open_device
+
+        def open_slowly(options, rate_hz):
+            time.sleep(2.0 * STALL_MAX_S)
+            return opening(options, rate_hz)
+
+        driver.open_device = open_slowly
+        first = running.replace(rig=make_faulty_rig(**{"device.at": 7}))
+        assert eventually(lambda: running.servo.ticks > first + 100)
 
 
 def test_a_pause_during_a_replacement_ends_the_run(driver):

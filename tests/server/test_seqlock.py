@@ -13,7 +13,7 @@ from helpers.waits import WAIT_S
 from softfinger.proxy.kernels.jit.atomics import load_relaxed, store_relaxed
 from softfinger.proxy.kernels.jit.decorators import OPTIONS, entry
 from softfinger.proxy.kernels.jit.seqlock import make_slot, publish, refresh
-from softfinger.server.loop.rings import make_ring, push, take
+from softfinger.server.loop.rings import Rings, make_ring, push, take
 
 READS = 10_000_000
 WIDTH = 64
@@ -191,6 +191,22 @@ def test_a_full_ring_drops_new_records_and_counts_them():
     assert pushed == [True] * 4 + [False] * 3
     assert (take(ring, out), ring.drops[0]) == (4, 3) and out[:4, 0].tolist() == [0.0, 1.0, 2.0, 3.0]
     assert push(ring, np.array([7.0])) and take(ring, out) == 1 and out[0, 0] == 7.0
+
+
+def test_drops_of_all_rings_are_counted():
+    rings, out = Rings(), np.empty((8, 1))
+    for first_number in (0.0, 10.0):
+        ring = make_ring(2, 1)
+        for _ in range(2):
+            rings.add(ring)
+        assert rings.newest is ring
+        for n in range(5):
+            push(ring, np.array([first_number + n]))
+    for ring_records, drops in (([0.0, 1.0], 3), ([10.0, 11.0], 6), ([], 6)):
+        count = rings.take(out)
+        assert out[:count, 0].tolist() == ring_records and rings.drops == drops
+    rings.close()
+    assert rings.wake_fd < 0
 
 
 def test_capacity_is_a_power_of_two():

@@ -4,6 +4,7 @@ import errno
 import os
 import socket
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,7 +40,7 @@ from softfinger.server.socket_process.command_clients import (
     RequestQueue,
     encode_busy,
 )
-from softfinger.server.states import DaemonState
+from softfinger.server.states import UNREACHABLE_REASON, DaemonState
 from softfinger.server.wire.events import RecordEvents
 from softfinger.server.wire.health import HealthSummary
 
@@ -79,18 +80,23 @@ def test_a_failed_service_is_reported_and_ends_nothing(name: str) -> None:
     assert (kind, fault_name) == ("fault", name) and "is gone" in message
 
 
-def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
-    events, ended, served = [], [], []
+@pytest.mark.parametrize(("heartbeat_s", "is_missed"), [(-1.0, True), (60.0, False)])
+def test_commands_that_fail_end_a_run_that_needs_heartbeats(heartbeat_s: float, is_missed: bool) -> None:
+    events, ended, served, deadlines_ns, reasons = [], [], [], [], []
 
     class Failing:
         is_reachable = True
 
-        def set_deadline(self, time_ns: int) -> None: ...
+        def set_deadline(self, time_ns: int) -> None:
+            deadlines_ns.append(time_ns)
 
         def is_inhibited_by(self, why: str) -> bool:
             raise OSError("no memory")
 
-    rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=-1.0))  # missed immediately
+        def note_guard(self, why: str, is_inhibiting: bool) -> None:
+            reasons.append((why, is_inhibiting))
+
+    rig = SimpleNamespace(commands=SimpleNamespace(heartbeat_s=heartbeat_s))
     rendering = SimpleNamespace(rig=rig, force=Failing())
     actions = SimpleNamespace(
         replace=print,
@@ -99,9 +105,15 @@ def test_commands_that_fail_end_a_run_that_needs_heartbeats() -> None:
         event=lambda *words, **more: events.append((words, more)),
     )
     commands = CommandService("ipc:///nowhere", rendering, actions, "a scene")
+    started_ns = time.monotonic_ns()
     commands.start()
     served[0].each_period()
     commands.stop()
+    # The loop turns the force off at this time, also if Python does not run; a microsecond for rounding of seconds.
+    assert started_ns - 1000 <= deadlines_ns[0] - 1e9 * heartbeat_s <= time.monotonic_ns() + 1000
+    if not is_missed:
+        assert events == ended == [] and reasons == [(UNREACHABLE_REASON, False)]
+        return
     assert events == [(("fault", "commands"), {"message": "no memory"})]
     assert served[1] is None
     assert all(isinstance(error, SafetyStop) and "no memory" in str(error) for error in ended) and len(ended) == 1

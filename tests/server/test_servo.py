@@ -57,6 +57,13 @@ def test_exception_in_the_servo_thread_zeroes_the_device():
     assert [act for act, *_ in device.acts] == ["stop"]  # never armed
 
 
+def test_an_unconfirmed_zero_at_the_end_is_an_error(monkeypatch):
+    monkeypatch.setattr(FaultyDevice, "zero_failure", lambda device: "it is stuck")
+    _, servo = make_servo(Options(), 10)
+    ended, _ = finish(servo)
+    assert ended.ending == s.CRASHED and "zero force is not confirmed (it is stuck)" in str(ended.error)
+
+
 def test_a_servo_that_is_stopped_before_it_runs_arms_nothing():
     device, servo = make_servo(Options(), 100)
     servo.stop()

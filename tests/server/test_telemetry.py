@@ -96,13 +96,14 @@ def test_transitions_become_events_with_cause_and_modes():
         put(records[tick:], "contact.mode", mode)
         put(records[tick:], "contact.object", 4 if mode else -1)
         put(records[tick : tick + 1], "contact.cause", CAUSE_NAMES.index(cause))
+    put(records[60:130], "contact.object", 0)  # the finger reaches another object while in contact
     events = publish_and_receive(records, "event", len(story), every=50)
     for event, (tick, mode, cause, name, before) in zip(events, story, strict=True):
         record = records[tick]
         vectors = {"force": record[AT.force : AT.force + 3], "point": record[AT.contact_point : AT.contact_point + 3]}
         assert event == {key: value.tolist() for key, value in vectors.items()} | {
             "schema": 1, "timestamp": record[AT.timestamp], "tick": tick, "kind": "contact", "name": name,
-            "cause": cause, "from": before, "to": mode, "object": 4, "finger": "",
+            "cause": cause, "from": before, "to": mode, "object": 4 if tick < 60 else 0, "finger": "",
             "normal_force": record[AT.contact_normal_force], "tangential_force": record[AT.contact_tangential_force],
         }  # fmt: skip
 

@@ -21,6 +21,7 @@ from softfinger.server.cli import main
         ("stability --mass 0 --delay 17", ["2 faults"]),
         ("stability --mass 0", ["command line --mass: mass_kg = 0.0: must be a number from 0.001 to 100 kg"]),
         ("stability --cases 9 --plot a.png", ["--plot: random runs have no plot"]),
+        ("forward", ["nothing to do: add --to, --commands-to or --lsl"]),
         ("stability --scheduler here", ["must be 'local' or the address of a dask scheduler"]),
     ],
 )
