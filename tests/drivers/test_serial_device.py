@@ -82,7 +82,7 @@ def test_a_closed_device_uses_no_file_descriptor() -> None:
     """Another file may have the number of the closed port."""
     with board() as (device, _, _):
         servo = DeviceCaller(device)
-    word = device.last_word()
+    word = device.zero_command()
     assert servo.read()[0] == LOST and servo.write(1.0, 0.0, 0.0, 0.0, 0.0, 0.0) == WITHHELD
     assert servo.write(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) == OK
     assert word is not None and word.fd == -1

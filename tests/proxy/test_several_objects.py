@@ -1,6 +1,7 @@
 """Several objects, thin objects and moving objects: the proxy is the nearest point outside all of them."""
 
 from functools import partial
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -146,6 +147,14 @@ def test_agrees_with_non_negative_least_squares(count):
         weights, _ = nnls(normals[:count].T, deflection)
         # The condition of the Gram matrix at a determinant of 1e-3 costs up to six digits of sixteen.
         np.testing.assert_allclose(d, normals[:count].T @ weights, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_between_walls_that_face_each_other_is_halfway(order):
+    normals, demands = [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)], [0.002, 0.003, 0.001]
+    push, d = solve(3, *(normals[i] for i in order), *(demands[i] for i in order))
+    np.testing.assert_allclose(d, (0.001, 0.0, 0.002), atol=1e-15)
+    np.testing.assert_allclose(push, [demands[i] for i in order], atol=1e-15)
 
 
 @pytest.mark.scaled
