@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.examples import Cases
-from helpers.touching import Array, causes, engine, visit, wall
+from helpers.touching import Array, causes, engine, make_object, visit, wall
 from references.hand import plane_engine
 from scipy.optimize import brentq
 
@@ -36,6 +36,24 @@ def rolled(radius: float, inside: bool, turn: float, ticks: int) -> Array:
     poses[:, 2] = -(radius - R + DEPTH) if inside else radius + R - DEPTH
     poses[:, 3], poses[:, 4] = np.cos(0.5 * angles), np.sin(0.5 * angles)
     return running.run(poses, 1e-3)
+
+
+@pytest.mark.parametrize("is_against_wall", [False, True])
+@pytest.mark.parametrize("depth", [0.001, 0.004, 0.008])
+def test_a_pure_roll_in_a_hollow_winds_up_nothing(depth: float, is_against_wall: bool) -> None:
+    """The centre moves on a circle of radius h, the probe with it on one of radius h + depth, and the fingertip rotates
+    back by h / R. A tick follows the tangent of its arc: an error of the third order in the angle."""
+    h, angle, ticks = 0.002, 1e-3, 300
+    bowl = make_object("bowl", "sphere", radius_m=R + h, inside=True)
+    walls = [wall("wall", (1.0, 0.0, 0.0), offset=-R)] if is_against_wall else []
+    angles = np.concatenate([[0.0], angle * np.arange(ticks)])
+    poses = np.zeros((len(angles), 7))
+    poses[:, 0] = -0.0005 if is_against_wall else 0.0
+    poses[:, 1], poses[:, 2] = (h + depth) * np.sin(angles), -(h + depth) * np.cos(angles)
+    poses[:, 3], poses[:, 4] = np.cos(0.5 * angles * h / R), -np.sin(0.5 * angles * h / R)
+    force = engine(bowl, *walls, rolling={"method": "rotation_vector"}).run(poses, 1e-3)["force"]
+    tangential = force[:, 1] * np.cos(angles) + force[:, 2] * np.sin(angles)
+    np.testing.assert_allclose(tangential, 0.0, atol=K * (h + depth) * ticks * angle**3)
 
 
 @pytest.mark.sampled(2)

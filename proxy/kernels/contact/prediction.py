@@ -114,10 +114,8 @@ def roll_contact(
     normal, carry = contact.normal, find_carry(objects, contact.object_index)
     rolled = roll_flat_on(method, objects, contact.object_index, radius, normal, compute_relative_rotation(carry, turn))
     k1, k2, along = compute_curvature(objects, contact.object_index, radius, center, normal)
-    largest = max(abs(k1), abs(k2)) * contact.push
     # At a product of 1 of depth and curvature, the probe is at the centre of curvature and does not move.
-    depth = contact.push / largest if largest > 1.0 else contact.push
-    first, second, probe = depth * k1, depth * k2, rolled.motion
+    first, second, probe = min(contact.push * k1, 1.0), min(contact.push * k2, 1.0), rolled.motion
     if first != 0.0 or second != 0.0:  # u - d dn/dp u
         across = vec3.cross(normal, along)
         probe = vec3.add_scaled(probe, -first * vec3.dot(probe, along), along)
