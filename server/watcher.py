@@ -102,7 +102,7 @@ def send(fd: int, data: bytes, interface: int, endpoint: int) -> int:
     return accepted
 
 
-def write_zero_force(node: str, fd: int, zero: bytes, interface: int, endpoint: int) -> str:
+def write_zero_force(node: str, fd: int, zero: bytes, interface: int = 0, endpoint: int = 0) -> str:
     """Discard the unsent bytes of a device's port and write the zero frame; return the result as a sentence."""
     until, zeroed_count, detail = time.monotonic() + WRITE_TIMEOUT_S, 0, "only part of it was accepted"
     with contextlib.suppress(OSError, termios.error):  # no serial port, or disconnected
