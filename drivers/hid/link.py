@@ -16,7 +16,7 @@ import struct
 from functools import partial
 from typing import Any, Final, NamedTuple
 
-from softfinger.config.errors import DeviceBusy, DeviceError, DeviceNotFound
+from softfinger.config.errors import DeviceBusy, DeviceError, DeviceLost, DeviceNotFound
 from softfinger.drivers.base import IGNORED_WRENCH_MAX_S
 from softfinger.drivers.closeable import undo_on_error
 from softfinger.drivers.hid import exchange
@@ -174,16 +174,19 @@ class ReportLink(NamedTuple):
 def open_link(options: Options) -> ReportLink:
     """Find the device of a rig, and open its node or, with `through = "thread"` or without a node, hidapi.
 
-    Raises DeviceNotFound, DevicePermission, DeviceBusy, or DeviceError if it is another device, or has other reports
-    than the rig.
+    Raises DeviceNotFound, DevicePermission, DeviceBusy, DeviceLost, or DeviceError if it is another device, or has
+    other reports than the rig.
     """
     path = options.path or find_device(options)
     if not path.startswith("/"):
         opened = open_usb(path, options)
         with undo_on_error(partial(_close, opened)):
             check_reports(opened.descriptor, path, options.reports)
-        interface = int(path.rpartition(".")[2])
-        endpoint = find_output_endpoint(os.pread(opened.lock_fd, USB_DESCRIPTORS_MAX, 0), interface)
+            interface = int(path.rpartition(".")[2])
+            try:
+                endpoint = find_output_endpoint(os.pread(opened.lock_fd, USB_DESCRIPTORS_MAX, 0), interface)
+            except OSError as error:
+                raise DeviceLost(f"{path} is gone ({error.strerror}): plug it in again") from error
         device_entry, link = _find_device(path), make_thread_link(opened.device, options, opened.lock_fd)
         if endpoint and device_entry is not None:
             return link._replace(node=device_entry.node, interface=interface, endpoint=endpoint)
