@@ -2,6 +2,7 @@
 described boards, which log their motors' forces: contact, faults, a second program, all signals."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import time
@@ -19,7 +20,7 @@ from emulators.slowline import SlowLine
 from helpers.c_stub import compiled
 from helpers.described_boards import REST, TO_WORLD, force_of, lower, opened, settled
 from helpers.far_ends import sketch_library
-from helpers.processes import COMMAND
+from helpers.processes import COMMAND, find_child
 from helpers.programs import LIMIT_S, Program
 from helpers.rig_files import load_rig_in_process, write_rig
 from helpers.waits import ends_within, fresh, until
@@ -272,10 +273,13 @@ def test_a_killed_program_leaves_a_hapkit_without_force(tmp_path: Path) -> None:
         board.turn(0.3)  # to the right is up: 27 mm, and the fingertip has a radius of 10
         with command("hapkit", board.path, tmp_path) as process:
             push(board, process, 0.3)
+            watcher = find_child(process.pid, b"watcher.py\0")
+            os.kill(watcher, signal.SIGSTOP)  # leaves the zero to the board
             process.kill()
             killed = time.monotonic()
             process.wait()
             assert settled(board.torque, lambda torque: torque == 0.0) == 0.0
+            os.kill(watcher, signal.SIGKILL)
             off, last = board.changes()[-1]
             assert last == 0.0
             assert off - killed > 0.0
