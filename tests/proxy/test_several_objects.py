@@ -9,7 +9,9 @@ from helpers import touching
 from helpers.touching import R, facing, visit, wall
 from scipy.optimize import nnls
 
+from softfinger.proxy.kernels.contact.rest.active_set import is_enclosed
 from softfinger.proxy.kernels.jit.decorators import entry
+from softfinger.proxy.kernels.model import Constraint
 from softfinger.proxy.kernels.numerics import vec3
 from softfinger.proxy.kernels.numerics.half_spaces import FACING_COSINE, solve_half_spaces
 from softfinger.proxy.record import AT
@@ -155,6 +157,18 @@ def test_between_walls_that_face_each_other_is_halfway(order):
     push, d = solve(3, *(normals[i] for i in order), *(demands[i] for i in order))
     np.testing.assert_allclose(d, (0.001, 0.0, 0.002), atol=1e-15)
     np.testing.assert_allclose(push, [demands[i] for i in order], atol=1e-15)
+
+
+@entry
+def are_enclosing(n1, n2, n3):
+    return is_enclosed((Constraint(0.0, n1, 1e-3), Constraint(1.0, n2, 1e-3), Constraint(2.0, n3, 1e-3)))
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_walls_that_face_each_other_enclose_the_proxy_in_any_order(order):
+    for angle, expected in ((0.15, True), (0.25, False)):  # rad from exactly facing; the limit is arccos(0.98) = 0.20
+        normals = [(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (-np.cos(angle), np.sin(angle), 0.0)]
+        assert are_enclosing(*(normals[i] for i in order)) == expected
 
 
 @pytest.mark.scaled
