@@ -95,12 +95,6 @@ def test_an_earlier_error_remains_the_first(caplog: pytest.LogCaptureFixture) ->
     assert "besides: gone" in caplog.text
 
 
-def test_a_successful_stop_writes_one_zero() -> None:
-    motor = Motor()
-    shutdown.stop(motor)
-    assert motor.handles == [0]
-
-
 @pytest.mark.parametrize("error", [OSError("the port has gone"), DeviceLost("it is gone"), KeyboardInterrupt()])
 def test_a_failing_stop_is_followed_by_a_plain_zero(error: BaseException) -> None:
     motor = Motor(error)
